@@ -19,7 +19,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule, from_text
 from maesn.runs.run import Run
-from maesn.runtime.return_model import ReturnModel, ReturnPrior, UnlikeModel
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
 from maesn.runtime.search_settings import SearchSettings
 from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner
@@ -50,10 +50,11 @@ class Line:
     """Reward, and radius as a share of that of the test, that a control makes its prior with."""
 
 
-def stationary(model: ReturnModel, settings: SearchSettings) -> UnlikeModel:
+def stationary(model: ReturnModel, settings: SearchSettings) -> ReturnModel:
     """Return one Gaussian process: the mean over training tasks, and a stationary kernel alone."""
-    unlike = model.unlike()
-    return dataclasses.replace(unlike, base=model, length_scale=settings.length_scale)
+    unlike = model.unlike(wider=1.0)
+    unlike.prior = model.prior
+    return unlike
 
 
 def permuted(model: ReturnModel, settings: SearchSettings) -> ReturnModel:

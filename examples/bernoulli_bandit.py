@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import ActionKind, Key, Readings
+from maesn.axes import Action, ActionKind, Key, Readings
 from maesn.envs import AbstractPureEnv, Reward, RewardKind, TaskFamily, Variant
 
 Probabilities: TypeAlias = Float[Array, " arm"]
@@ -60,11 +60,7 @@ class Bandit(AbstractPureEnv[Probabilities]):
         return jnp.zeros(1)
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Probabilities,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Probabilities
     ) -> Reward:
         rewarded = self.solved(next_readings, task).astype(action.dtype)
         return Reward(rewarded, jnp.zeros(()))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs import AbstractPureEnv, Reward, RewardKind, TaskFamily, Variant
 
 Distance: TypeAlias = Float[Array, ""]
@@ -64,11 +64,7 @@ class Chain(AbstractPureEnv[Distance]):
         return readings["qpos"] / LENGTH
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Distance,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Distance
     ) -> Reward:
         step = (next_readings["qpos"][0] - readings["qpos"][0]) / task
         sparse = jnp.where(self.solved(next_readings, task), 1.0, self.reward_elsewhere)

@@ -7,14 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 from playing import keys
-from strangers import (
-    HORIZON,
-    draw_walks,
-    make_broken,
-    make_painter,
-    make_settable,
-    make_walker,
-)
+from strangers import HORIZON, draw_walks, make_broken, make_painter, make_settable, make_walker
 
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family

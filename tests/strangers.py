@@ -8,6 +8,7 @@ import itertools
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -164,6 +165,16 @@ ODD_ENDS = {
 }
 
 
+# What it raises.
+RAISED = {
+    30: ValueError("the gears are stuck"),
+    31: ValueError(threading.Lock()),  # which cannot be sent to another process
+    32: RecursionError("too deep"),
+    33: MemoryError("nothing left"),
+    34: KeyboardInterrupt("enough"),
+}
+
+
 class Broken(Settable):
     """Does what its task's third number says, at the step that the fourth says.
 
@@ -207,12 +218,14 @@ class Broken(Settable):
     def step(self, action: np.ndarray) -> Any:
         kind = int(self.task[2])
         self.task = self.task.copy()
-        if self.due and kind == 30:
-            raise ValueError("the gears are stuck")
+        if self.due and kind in RAISED:
+            raise RAISED[kind]
         if self.due and kind == 40:
             time.sleep(3600)
         if self.due and kind == 41:
             os._exit(3)
+        if self.due and kind == 42:
+            os.closerange(3, 64)  # files that are not its own
         place = self.place + action
         self.place, self.steps = place, self.steps + 1
         reward = np.nan if self.due and kind == 11 else 0.0

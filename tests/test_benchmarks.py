@@ -110,8 +110,7 @@ LINES: dict[str, tuple[dict[str, Any], str, int]] = {
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[] if n == "collection" else [pytest.mark.long]) for n in LINES],
+    "name", [pytest.param(n, marks=[] if n == "collection" else [pytest.mark.long]) for n in LINES]
 )
 def test_every_line_is_printed(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -1,6 +1,5 @@
 """Whatever mistake a command is given, its answer is a sentence and an exit code."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -67,26 +66,6 @@ def test_wrong_words_get_a_sentence(
     monkeypatch.chdir(tmp_path)
     assert named in said(capsys, *words.format(run.directory).split())
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "document",
-    ["[" * 10**5, "", "\0", '{"schema": 2}', '{"schema": [[2]]}', "1e999"],
-)
-def test_damaged_configurations_get_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], document: str
-) -> None:
-    (tmp_path / "config.json").write_text(document)
-    for words in (["resume"], ["adapt"], ["report"]):
-        assert "config.json" in said(capsys, *words, str(tmp_path))
-
-
-def test_pipes_are_refused_instead_of_waited_for(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    os.mkfifo(tmp_path / "config.json")
-    for words in ([str(run.directory), "--tasks", str(tmp_path / "config.json")], [str(tmp_path)]):
-        assert "a pipe" in said(capsys, "adapt", *words)
 
 
 def test_an_interrupted_command_says_so(

@@ -16,7 +16,6 @@ ATTEMPTS = {
     "signals": 3,
     "two writers": 2,
     "disks": 10,
-    "faulty environments": 3,
     "runtime calls": 20,
     "wrong command lines": 50,
 }

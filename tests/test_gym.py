@@ -13,15 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from carts import MOTOR, RUNAWAY, CartTask, cart_on
+from carts import RUNAWAY, CartTask, cart_on
 from gymnasium.utils.env_checker import check_env
 from jaxtyping import Array, Float
 from learning_problems.probes import hidden_end
 from pictures import can_draw, drawn
 from playing import agents
 
-import maesn.gym
-from maesn.envs import FAMILIES, Point, Reward, TaskFamily, TaskSet, Wheeled, point, wheeled
+from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled, point, wheeled
 from maesn.experience.trial_state import TrialState
 from maesn.gym import IDS, TaskEnv, TaskVectorEnv
 from maesn.numerics import DiagonalGaussian
@@ -142,13 +141,6 @@ def test_what_is_no_choice_is_refused(make: Any, wrong: Any) -> None:
         env.step(wrong if make is TaskEnv else np.array([wrong]))
 
 
-@pytest.mark.parametrize(("family", "rate"), [("wheeled", 100), ("point", 10)])
-def test_films_run_in_real_time(family: str, rate: int) -> None:
-    # Control steps last 0.01 s and 0.1 s; one picture is shown for each.
-    assert gymnasium.make(IDS[family]).metadata["render_fps"] == rate
-    assert "render_fps" not in TaskEnv.metadata  # no rate is that of all families
-
-
 def test_a_seed_repeats_everything_and_another_does_not() -> None:
     first, again, other = (play(TaskEnv("point"), seed) for seed in (1, 1, 2))
     jax.tree.map(np.testing.assert_array_equal, first, again)
@@ -166,12 +158,6 @@ def test_tasks_are_drawn_or_chosen() -> None:
     assert fixed.reset(options={"task": 9})[1]["task"] == 9
 
 
-def test_episodes_run_out_of_time_at_the_horizon() -> None:
-    results = play(TaskEnv("point"), seed=0, steps=40)[1:]
-    assert [terminated for _, _, terminated, _, _ in results] == [False] * 40
-    assert [truncated for _, _, _, truncated, _ in results] == [False] * 39 + [True]
-
-
 def test_an_end_by_nature_is_a_termination() -> None:
     env = TaskEnv(hidden_end, task=2)
     env.reset(seed=0)
@@ -184,20 +170,6 @@ def test_an_end_by_nature_is_a_termination() -> None:
     env.reset(options={"task": 1})
     ends = [env.step(env.action_space.sample())[2:4] for _ in range(10)]
     assert ends == [(False, False)] * 9 + [(False, True)]
-
-
-def test_success_is_what_the_distance_says() -> None:
-    env = TaskEnv("point", task=0, sparse_radius=1.0, reward="sparse", variant="paper")
-    goal = np.asarray(point.task_set("training")[0])
-    observation, _ = env.reset(seed=0)
-    seen = set()
-    for _ in range(40):
-        observation, reward, _, _, information = env.step(np.clip(3 * (goal - observation), -1, 1))
-        distance = np.linalg.norm(observation - goal)
-        assert information["is_success"] == (distance <= 1.0)
-        assert reward == pytest.approx(-distance if distance <= 1.0 else -2.0, abs=1e-5)
-        seen.add(information["is_success"])
-    assert seen == {False, True}
 
 
 @pytest.mark.parametrize(
@@ -314,14 +286,6 @@ def family_on_rails(directory: Path, actuator: str) -> TaskFamily:
     return TaskFamily("cart", lambda **_: cart(force=3.0), draw, ("speed", "mass"), 0)
 
 
-def test_tasks_may_change_the_dynamics(tmp_path: Path) -> None:
-    env = TaskEnv(family_on_rails(tmp_path, MOTOR))
-    for task, mass in ((0, 1.0), (3, 4.0)):
-        before = env.reset(seed=0, options={"task": task})[0]
-        after = env.step(np.zeros(1))[0]
-        assert after[1] - before[1] == pytest.approx(0.01 * 3.0 / mass, rel=1e-5)
-
-
 def test_physics_that_blows_up_is_an_error_that_says_where(tmp_path: Path) -> None:
     env = TaskEnv(family_on_rails(tmp_path, RUNAWAY), task=0)
     assert any(env.reset(seed=seed)[0][1] > 0 for seed in range(50))  # this one is pushed
@@ -360,8 +324,3 @@ def test_without_gymnasium_one_sentence_says_what_to_install() -> None:
     assert done.stderr.splitlines()[-1] == (
         "ImportError: `maesn.gym` needs Gymnasium: pip install -e '.[gym]' in its clone"
     )
-
-
-def test_an_own_family_needs_no_registration() -> None:
-    assert isinstance(point.task_set("test"), TaskSet)
-    assert maesn.gym.TaskEnv(point).reset(seed=0)[0].shape == (2,)

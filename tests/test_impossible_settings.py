@@ -10,16 +10,24 @@ from maesn.context import BiasContext, LatentContext
 from maesn.inner.adaptation import InnerStep, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import (
+    BeliefDecoderSettings,
+    BeliefEncoderSettings,
+    BeliefInference,
     CuriosityBonus,
     GradientStep,
+    HyperBonus,
     ProximalOuterStep,
     ProximalStep,
     RecurrentValue,
     TrustRegionOuterStep,
     TrustRegionStep,
     maesn,
+    pearl,
     rl2,
+    varibad,
 )
+from maesn.learners.pearl.encoder import EncoderSettings
+from maesn.learners.pearl.sac import SoftActorCritic
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP, Recurrent
@@ -29,12 +37,21 @@ from maesn.runtime.search_settings import SearchSettings
 from maesn.search.prior import PriorSettings
 
 IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
-    maesn: [
-        *(("meta_batch_size", 0), ("outer_batches", 0), ("inner_updates", -1)),
-    ],
+    maesn: [*(("meta_batch_size", 0), ("outer_batches", 0), ("inner_updates", -1))],
     rl2: [
-        *(("meta_batch_size", 0), ("trial_episodes", 0), ("discount", 1.5), ("gae_lambda", -0.5)),
+        *(("meta_batch_size", 0), ("trial_episodes", 0), ("discount", 1.5), ("gae_lambda", -0.5))
     ],
+    pearl: [*(("meta_batch_size", 0), ("extra_batches", -1))],
+    EncoderSettings: [("kl_weight", -1.0), ("hidden_sizes", (0,))],
+    SoftActorCritic: [
+        *(("discount", 1.5), ("learning_rate", 0.0), ("output_penalty", -1.0)),
+        ("hidden_sizes", (0,)),
+    ],
+    varibad: [*(("trial_episodes", 0), ("discount", 1.5), ("gae_lambda", -1.0))],
+    BeliefEncoderSettings: [("latent_size", 0), ("hidden_size", 0)],
+    BeliefDecoderSettings: [("cells", (0, 2)), ("reward_std", 0.0)],
+    BeliefInference: [("kl_weight", -1.0), ("prefixes", 0)],
+    HyperBonus: [("novelty_weight", -1.0), ("last_iteration", 0)],
     CuriosityBonus: [
         *(("weight", -1.0), ("hidden_sizes", (0,)), ("updates", -1), ("samples", 0)),
         *(("batch_size", 0), ("pool_size", 0), ("pool_additions", 0), ("median_window", 0)),
@@ -49,10 +66,10 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     GradientRule: [("step_scale", math.inf), ("full_steps", 0), ("start_std", 0.0)],
     ThenTrpo: [("after", -2)],
     SearchSettings: [
-        *(("exploration", -1.0), ("draws", -1), ("draw_std", 0.0), ("length_scale", math.inf)),
+        *(("exploration", -1.0), ("draws", -1), ("draw_std", 0.0), ("length_scale", math.inf))
     ],
     PriorSettings: [
-        *(("draws", -1), ("episodes", 0), ("spread", -1.0), ("seed", -1), ("simulations", 0)),
+        *(("draws", -1), ("episodes", 0), ("spread", -1.0), ("seed", -1), ("simulations", 0))
     ],
     LatentContext: [
         *(("size", 0), ("kl_weight", -0.1), ("initial_spread", -1.0)),
@@ -62,7 +79,7 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     InnerStep: [("first_iteration", -1)],
     StepSchedule: [("factor", 0.0), ("factor", 1.5)],
     AdvantageEstimator: [
-        *(("discount", -0.1), ("discount", 1.1), ("gae_lambda", -0.1), ("gae_lambda", 1.1)),
+        *(("discount", -0.1), ("discount", 1.1), ("gae_lambda", -0.1), ("gae_lambda", 1.1))
     ],
     GaussianMLP: [("initial_std", math.nan)],
     CategoricalMLP: [("hidden_sizes", (0,))],
@@ -74,7 +91,7 @@ IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {
     RecurrentValue: [("hidden_size", 0), ("encoder_sizes", (3, 0)), ("readout_sizes", (-1,))],
     TrustRegion: [("max_kl", 0.0), ("backtrack_ratio", 0.0), ("backtrack_ratio", 1.0)],
     MinibatchDescent: [
-        *(("learning_rate", 0.0), ("epochs", 0), ("minibatches", 0), ("max_gradient_norm", 0.0)),
+        *(("learning_rate", 0.0), ("epochs", 0), ("minibatches", 0), ("max_gradient_norm", 0.0))
     ],
     RunSettings: [
         *(("iterations", -1), ("iterations", 2**31), ("seed", -1), ("seed", 2**32)),

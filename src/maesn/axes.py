@@ -22,7 +22,7 @@ axis that is mapped over and cut into chunks. Functions are written for one task
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 from jaxtyping import Key as KeyArray
 
 # One random key.
@@ -30,6 +30,9 @@ Key: TypeAlias = PRNGKeyArray
 
 # One random key per task slot.
 TaskKeys: TypeAlias = KeyArray[Array, " task"]
+
+# What a policy does in one step, before anything is clipped or scaled.
+Action: TypeAlias = Float[Array, " action"]
 
 # Named quantities of the simulated world. The names are the physics engine's own ("qpos", "qvel",
 # "subtree_com", ...), so an environment and its engine agree on them without a translation table.

@@ -4,10 +4,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from maesn.envs import Ant, RewardKind, Variant
+from maesn.envs.ant import rotation_matrix
 
 # u = clip(a, -1, 1) = (.5, -1, 0, ...): sum u^2 = 1.25, control cost .005 * 1.25 = .00625.
 ACTION = jnp.zeros(8).at[:2].set(jnp.array([0.5, -3.0]))
@@ -108,3 +110,11 @@ def test_figures_show_the_centre_of_mass() -> None:
     # `tests/worlds/test_native.py` has the order of all that is seen.
     np.testing.assert_array_equal(Ant().position(jnp.arange(125.0)), [122.0, 123.0])
     np.testing.assert_array_equal(Ant().goal(jnp.array([3.0, 4.0])), [3.0, 4.0])
+
+
+def test_rotation_of_quaternions_of_any_length() -> None:
+    for quaternion in np.random.default_rng(2).normal(size=(20, 4)):
+        unit, axes = quaternion / np.linalg.norm(quaternion), np.empty(9)
+        mujoco.mju_quat2Mat(axes, unit)
+        got = rotation_matrix(jnp.asarray(quaternion, jnp.float32))
+        np.testing.assert_allclose(got, axes.reshape(3, 3), atol=1e-6)

@@ -33,11 +33,7 @@ def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str | None) 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_takes_the_same_settings(name: str) -> None:
     default = find_family(name).make_env()
-    settings = {
-        "variant": default.variants[-1],
-        "reward_kind": "sparse",
-        "sparse_radius": 0.125,
-    }
+    settings = {"variant": default.variants[-1], "reward_kind": "sparse", "sparse_radius": 0.125}
     env: AnyEnv = find_family(name).make_env(**settings)
     assert {setting: getattr(env, setting) for setting in settings} == settings
     assert (default.variant, default.reward_kind) == (default.variants[0], "dense")

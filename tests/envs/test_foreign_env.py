@@ -22,7 +22,6 @@ from scripts import ROOT
 from strange_families import is_running, walkers
 from strangers import (
     Arm,
-    Chooser,
     Diarist,
     Plain,
     Skip,
@@ -117,13 +116,6 @@ def test_limits_that_cannot_be_known_are_refused() -> None:
         family_of(wrapped, horizon=3).make_env()
 
 
-def test_sizes_are_read_off_the_environment() -> None:
-    env = walkers.make_env(reward_kind="sparse")
-    assert (env.observation_size, env.horizon, env.control_period) == (10, 6, 0.1)
-    assert env.reward_kind == "sparse"
-    assert not env.planar
-
-
 def test_tasks_of_one_situation_share_episodes_if_the_reward_is_known() -> None:
     def reward(seen: Any, control: Any, after: Any, task: Any, kind: str) -> Any:
         return -jnp.linalg.norm(after[-2:] - task[:2])
@@ -141,11 +133,6 @@ def test_tasks_of_one_situation_share_episodes_if_the_reward_is_known() -> None:
     wrong = known(reward=lambda *_: jnp.ones(())).make_env()
     with pytest.raises(EnvContractError, match="`reward` must be the environment's own"):
         check_env_contract(wrong, task)
-
-
-def test_choices_are_discrete_actions() -> None:
-    env = family_of(Chooser(np.zeros(1)), horizon=3, control_period=1.0).make_env()
-    assert (env.action_kind, env.action_size) == ("discrete", 3)
 
 
 def test_figures_get_positions_where_the_family_has_them() -> None:

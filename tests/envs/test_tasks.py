@@ -14,92 +14,21 @@ from scipy import stats
 
 from maesn.envs import FAMILIES, SETS, TaskFamily, TaskSet
 
-# Pinned: a learner's latents belong to these very tasks, and a checkpoint names their digest.
+# Pinned: a learner's latents belong to these very tasks, and a checkpoint names their digest, of
+# which the first half stands here.
 DIGESTS = {
-    "point": [
-        "c0b923e309759804",
-        "a5247b9d79e53d9c",
-        "13be3c6b430e52c1",
-        "d1457bfcf91cc308",
-        "1758bc7969cc7bd9",
-    ],
-    "wheeled": [
-        "e16cc188bb14fa38",
-        "2aca6d26ad7350a1",
-        "70ca09ac6fbf6f4a",
-        "431567cbaf096259",
-        "a6e1e52249419962",
-    ],
-    "ant": [
-        "5a00652a6cbdf857",
-        "8a7f1a1858bb9a0b",
-        "382f92979d32b94b",
-        "a761d25c914d74a3",
-        "f11584e0c9fa3470",
-    ],
-    "blockpush": [
-        "bb4c755eeb5004bb",
-        "9e05bbfed1a37ae9",
-        "9b61958360ed389a",
-        "b422aeb160123c89",
-        "ff21f4465166b1fd",
-    ],
-    "sparse_point": [
-        "a869c7739be8e8e3",
-        "38a43f676b1a7c98",
-        "f15ab50bbfc8bf4f",
-        "34df464ee14f5afd",
-        "4b991db89b3de49c",
-    ],
-    "cheetah_vel": [
-        "38b037e435ad632a",
-        "794655e54aa5968a",
-        "a8a7704c54f10476",
-        "511adaa515c38c9c",
-        "0e1dab6c9d080186",
-    ],
-    "cheetah_body": [
-        "98e95117e61c2759",
-        "ed5d6fa448a17fc0",
-        "f0d14d426300dc7a",
-        "054660876b3f4511",
-        "df0d1476d1ae046d",
-    ],
-    "ant_dir": [
-        "f63f25254a9c0843",
-        "eb904d8ee79cd434",
-        "a143507676689fb1",
-        "3f48c2b5370039e6",
-        "eefaebdcfff8a8ab",
-    ],
-    "ant_goal": [
-        "8db328eec581d49b",
-        "a62348296fc0531a",
-        "5b6218a38d14ca90",
-        "2dc5868eb4a4a07a",
-        "896149a342c7767a",
-    ],
-    "sparse_ant_goal": [
-        "3572510acee7e78b",
-        "0e1a7f7fffe326be",
-        "0f68b85e796eb027",
-        "0f7ebea70a5f5ca7",
-        "ba195f3cde15db7c",
-    ],
-    "bandit": [
-        "97273fe932b95947",
-        "0f8d6e0d8c0c3648",
-        "5b5558cbd4929caa",
-        "137d588515fc5670",
-        "e6b785da85edc42d",
-    ],
-    "chain": [
-        "c6665112796f4675",
-        "b2e80fa0939368d4",
-        "aad02583d45623f1",
-        "e68350dc3745fd54",
-        "11e5ac240c361bfe",
-    ],
+    "point": "c0b923e3 a5247b9d 13be3c6b d1457bfc 1758bc79",
+    "wheeled": "e16cc188 2aca6d26 70ca09ac 431567cb a6e1e522",
+    "ant": "5a00652a 8a7f1a18 382f9297 a761d25c f11584e0",
+    "blockpush": "bb4c755e 9e05bbfe 9b619583 b422aeb1 ff21f446",
+    "sparse_point": "a869c773 38a43f67 f15ab50b 34df464e 4b991db8",
+    "cheetah_vel": "38b037e4 794655e5 a8a7704c 511adaa5 0e1dab6c",
+    "cheetah_body": "98e95117 ed5d6fa4 f0d14d42 05466087 df0d1476",
+    "ant_dir": "f63f2525 eb904d8e a1435076 3f48c2b5 eefaebdc",
+    "ant_goal": "8db328ee a6234829 5b6218a3 2dc5868e 896149a3",
+    "sparse_ant_goal": "3572510a 0e1a7f7f 0f68b85e 0f7ebea7 ba195f3c",
+    "bandit": "97273fe9 0f8d6e0d 5b5558cb 137d5885 e6b785da",
+    "chain": "c6665112 b2e80fa0 aad02583 e68350dc 11e5ac24",
 }
 ON_HALF_CIRCLES = {"point": 2.0, "wheeled": 2.0, "ant": 2.0, "sparse_point": 1.0}
 EVERY = FAMILIES | {"bandit": bandit, "chain": chain}
@@ -115,7 +44,7 @@ def rows(family: TaskFamily, name: str) -> np.ndarray:
 def test_sets_of_a_hundred_tasks_that_never_change(name: str) -> None:
     sets = [EVERY[name].task_set(which) for which in SETS]
     assert [len(tasks) for tasks in sets] == [100] * len(SETS)
-    assert [tasks.digest() for tasks in sets] == DIGESTS[name]
+    assert [tasks.digest()[:8] for tasks in sets] == DIGESTS[name].split()
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -147,7 +76,7 @@ def test_the_sets_are_the_same_in_another_process() -> None:
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    assert done.stdout.strip() == DIGESTS["wheeled"][2]
+    assert done.stdout[:8] == DIGESTS["wheeled"].split()[2]
 
 
 @pytest.mark.parametrize("name", ON_HALF_CIRCLES)

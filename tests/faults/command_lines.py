@@ -25,14 +25,7 @@ WORDS = (
     *("-inf", "9" * 22, "9" * 400, "-" + "9" * 30, "abc", "True", "None", "[" * 500, "{}", "()"),
     *("..", "/", "/dev/null", "/dev/zero", "/proc/self/mem", "~", "*", "point", "wheeled"),
     *("os:getcwd", ":x", "x:", "..:x", "a.b.c:d", "os:no", "ü", "\udcff", "%s%n", "--", "-", "="),
-    *(
-        "a=b",
-        "seed=x",
-        "outer.curvature_stride=nan",
-        "gradient",
-        "gradient step_scale=x",
-        "search",
-    ),
+    *("a=b", "seed=x", "outer.curvature_stride=nan", "gradient", "gradient step_scale=x", "search"),
     *("gradient " + "(" * 500, "trpo after=-1", "vime x=1", "0x10", "1_000", "٣", "\n", "\t"),
 )
 """What stands for a value."""

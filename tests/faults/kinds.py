@@ -3,7 +3,6 @@
 from faults import (
     command_lines,
     disks,
-    environments,
     kills,
     mutations,
     runtime_calls,
@@ -20,7 +19,6 @@ KINDS = {
         Kind("signals", signals.attempt, 100, 112),
         Kind("two writers", writers.attempt, 60, 112),
         Kind("disks", disks.attempt, 200, 112),
-        Kind("faulty environments", environments.attempt, 80, 90),
         Kind("runtime calls", runtime_calls.attempt, 510, 112),
         Kind("wrong command lines", command_lines.attempt, 300, 90),
     )

@@ -1,7 +1,5 @@
 """The inner step against the reference and against its closed form."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -71,39 +69,6 @@ def test_inner_update_in_single_precision() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_derivatives_of_the_likelihood_ratio_update() -> None:
-    """With mean A = 0 the update's derivatives are known without a second differentiation.
-
-    d mean'/d mean = 1, d mean'/d log std = -2 a g, d log std'/d mean = -2 b g,
-    d log std'/d log std = 1 - 2 b h, d mean'/d a = g, d log std'/d b = h,
-    where g and h are the gradients of mean and log std, and a and b their step sizes.
-    """
-    problem = make_problem(0, UNEQUAL)
-    before = start(problem.parameters, 0)
-    after = problem.playing(1)[0]
-    a, b = problem.parameters["mean_step"], problem.parameters["log_std_step"]
-    g, h = (after.mean - before.mean) / a, (after.log_std - before.log_std) / b
-    episodes, advantages = jax.tree.map(lambda x: x[:1], played(problem))
-
-    def update(mean: Any, log_std: Any, a: Any, b: Any) -> tuple[jax.Array, jax.Array]:
-        agents = Agents(to_policy(problem.parameters), Latent(mean[None], log_std[None]), True)
-        sizes = StepSizes(None, Latent(a, b))
-        adaptation = Adaptation(context=InnerStep())
-        moved = adaptation(agents, sizes, LatentContext(), episodes, advantages)
-        return moved.context.mean[0], moved.context.log_std[0]
-
-    arguments = map(jnp.asarray, (before.mean, before.log_std, a, b))
-    mean_row, log_std_row = jax.jit(jax.jacobian(update, argnums=(0, 1, 2, 3)))(*arguments)
-    zero, one = np.zeros_like(g), np.ones_like(g)
-    for actual, expected in zip(
-        (*mean_row, *log_std_row),
-        (one, -2 * a * g, g, zero, -2 * b * g, 1 - 2 * b * h, zero, h),
-        strict=True,
-    ):
-        np.testing.assert_allclose(actual, np.diag(expected), atol=1e-12)
-
-
-@pytest.mark.usefixtures("x64")
 def test_every_weight_has_a_step_size_of_its_own() -> None:
     problem = make_problem(0, UNEQUAL)
     rng = np.random.default_rng(1)
@@ -140,20 +105,6 @@ def test_a_bias_moves_along_the_gradient_through_the_policy() -> None:
         agent = ReferenceAgent(start(problem.parameters, row).theta, bias, np.full(2, -np.inf))
         _, slope, _ = pathwise_gradient(agent, task.pre[0], redrawn=True)
         np.testing.assert_allclose(moved.context.value[row], bias + step * slope, rtol=1e-11)
-
-
-def test_scale_multiplies_every_step() -> None:
-    problem = make_problem(0, UNEQUAL, SETTINGS["theta_as_well"])
-    learner = learner_for(problem)
-    agents, sizes = agents_of(problem)
-    whole, quarter = (
-        jitted(learner.adaptation, agents, sizes, learner.context, *played(problem), scale)
-        for scale in (jnp.asarray(1.0), jnp.asarray(0.25))
-    )
-    for part in (lambda x: x.policy.log_std, lambda x: x.context.mean):
-        before, far, near = (np.asarray(part(x)) for x in (agents, whole, quarter))
-        assert np.abs(far - before).max() > 1e-3
-        np.testing.assert_allclose(near - before, 0.25 * (far - before), atol=1e-6)
 
 
 def test_fixed_sizes_are_not_learned_and_learned_ones_start_where_they_are_told() -> None:

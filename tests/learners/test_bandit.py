@@ -11,11 +11,6 @@ import pytest
 from bernoulli_bandit import Bandit, bandit
 from scripts import ROOT, load_script
 
-from maesn.envs import TaskSet
-from maesn.evaluation.evaluate import adapt
-from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import RecurrentFastLearner
-
 COMMITTED = ROOT / "results" / "bandit" / "policy.safetensors"
 
 
@@ -89,25 +84,3 @@ def test_the_published_policy_is_within_a_seventh_of_the_optimum(benchmark: Modu
     assert error < 0.02
     optimum = benchmark.bayes_optimal_return(benchmark.ARMS, benchmark.PULLS)
     assert optimum - 0.15 + 3 * error < mean < optimum + 3 * error
-
-
-@pytest.mark.long
-def test_rl2_learns_to_play_a_small_bandit(benchmark: ModuleType) -> None:
-    """2 arms, 5 pulls. Pulling blindly returns 2.5, the optimum is 2.889; two thirds of the gap
-    have to be closed within seconds. The standard error of 10,000 trials is 0.014."""
-    env, stream = Bandit(horizon=5, action_size=2), np.random.default_rng(0)
-    training, test = (
-        TaskSet(stream.uniform(size=(n, 2)).astype(np.float32)) for n in (4000, 10000)
-    )
-    learner = benchmark.make_learner(500)
-    policy = benchmark.train(learner, benchmark.make_collect(training, env), env, 120)
-    outcome = adapt(
-        RecurrentFastLearner(policy, 1),
-        benchmark.make_collect(test, env),
-        Evaluation(tasks_at_once=10000),
-        episodes=0,
-    )
-    optimum = benchmark.bayes_optimal_return(2, 5)
-    assert optimum == pytest.approx(26 / 9)
-    mean = outcome.curves.mean_return.mean()
-    assert optimum - 0.15 + 3 * 0.014 < mean < optimum + 3 * 0.014

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.transitions import episodes_of, linear_episodes
+from learning_problems.transitions import linear_episodes
 
 from maesn.experience.transitions import Scale, Transitions, transitions
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
@@ -24,8 +24,7 @@ SMALL = CuriosityBonus(
 )
 # Compiled, as the learners call them.
 judge, learn, information_gains = map(
-    eqx.filter_jit,
-    (CuriosityBonus.judge, CuriosityBonus.learn, CuriosityBonus.information_gains),
+    eqx.filter_jit, (CuriosityBonus.judge, CuriosityBonus.learn, CuriosityBonus.information_gains)
 )
 
 
@@ -232,17 +231,3 @@ def test_the_pool_holds_a_sample_of_all_batches() -> None:
 def test_a_world_without_observations_is_refused() -> None:
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0"):
         CuriosityBonus().init(KEY, 0, 2)
-
-
-@pytest.mark.long
-def test_what_is_known_is_worth_less_than_what_is_new() -> None:
-    curiosity = CuriosityBonus(updates=1500)
-    state, _ = judge(curiosity, KEY, curiosity.init(KEY, 2, 1), linear_episodes(1, (20,), 25, 0.05))
-    known = linear_episodes(2, (8,), 25, noise=0.05)
-    new = replace(known, action=known.action + 4.0)  # pushed harder, without any effect
-    both = episodes_of(*(np.concatenate([getattr(e, f) for e in (known, new)]) for f in (
-        "observation", "action",
-    )))  # fmt: skip
-    learned = learn(curiosity, KEY, state)
-    _, bonus = judge(curiosity, KEY, learned, both)
-    assert np.median(bonus[8:]) > 10 * np.median(bonus[:8])

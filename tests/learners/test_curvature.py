@@ -37,8 +37,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 # What the others are made of.
 LONG = ["maesn", "maml_bias", "maml, two updates"]
 every_case = pytest.mark.parametrize(
-    "case",
-    [pytest.param(case, marks=[pytest.mark.long] if case in LONG else []) for case in CASES],
+    "case", [pytest.param(case, marks=[pytest.mark.long] if case in LONG else []) for case in CASES]
 )
 a_bias = pytest.param("maml_bias", marks=pytest.mark.long)
 REGION = TrustRegion(damping=1e-3)

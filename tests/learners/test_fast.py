@@ -45,10 +45,7 @@ def fast_learner(preset: str) -> GradientFastLearner:
 
 @pytest.mark.parametrize(
     ("preset", "scales"),
-    [
-        ("maesn", [1, 1, 1 / 2, 1 / 4, 1 / 8]),
-        ("latent_space", [1, 1, 1, 1 / 2, 1 / 4]),
-    ],
+    [("maesn", [1, 1, 1 / 2, 1 / 4, 1 / 8]), ("latent_space", [1, 1, 1, 1 / 2, 1 / 4])],
 )
 def test_new_tasks_start_at_the_prior_and_move_by_the_schedule(
     preset: str, scales: list[float]

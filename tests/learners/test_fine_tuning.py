@@ -10,7 +10,6 @@ import pytest
 from playing import keys
 
 from maesn.envs import point
-from maesn.evaluation.evaluate import adapt
 from maesn.experience.episodes import concatenate
 from maesn.learners import (
     IMPROVEMENTS,
@@ -21,7 +20,6 @@ from maesn.learners import (
     PolicyGradient,
     Problem,
     maesn,
-    maml,
     rl2,
 )
 from maesn.learners.gradient.outer import TrustRegionOuterStep
@@ -107,15 +105,6 @@ def test_episodes_of_small_updates_are_saved_for_one_step(collect: Collector) ->
     batch = reduce(concatenate, played[1:4])
     expected = improvement(states[1].tuning, batch).agents.policy
     np.testing.assert_array_equal(weights[3], expected.log_std)
-
-
-@pytest.mark.long
-def test_it_improves_on_where_the_learner_has_settled(collect: Collector) -> None:
-    for preset in (maesn, maml):
-        learner = FineTuning(fast(preset), IMPROVEMENTS["trpo"], after=5, least_batch=5)
-        returns = adapt(learner, collect, episodes=75).curves.mean_return
-        # Of means over a few episodes each, the first two and the last four.
-        assert np.all(returns[:, -4:].mean(axis=1) > returns[:, :2].mean(axis=1) + 0.5)
 
 
 def test_recurrent_policies_are_refused_at_construction() -> None:

@@ -1,22 +1,17 @@
 """The oracle: it is given the task, learns what to do with that, and adapts nothing."""
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.probes import PROBES, hidden_target
 from playing import assert_same, keys
-from small_runs import create, finish
 
-from maesn import api
 from maesn.context import OracleContext
 from maesn.envs import FAMILIES, BlockPushTask
 from maesn.evaluation.evaluate import adapt
 from maesn.learners import Problem, oracle
 from maesn.policies import GaussianMLP
-from maesn.storage import RunError
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -91,16 +86,3 @@ def test_the_oracle_beats_every_policy_that_is_not_told() -> None:
     unseen = Collector(make_world(env, hidden_target.task_set("test", 20)), 20)
     curves = adapt(learner.fast_learner(state), unseen, episodes=0).curves
     assert curves.mean_return.mean() > -0.3
-
-
-@pytest.mark.long
-def test_verbs_of_an_oracle(tmp_path: Path) -> None:
-    run = finish(create(tmp_path / "run", oracle(**SMALL), iterations=2))
-    curves = api.adapt(run.directory, episodes=2, episodes_per_update=2).outcome.curves
-    assert curves.mean_return.shape == (100, 2)
-    names = {path.stem for path in api.report([run.directory]).files}
-    assert {"curves-test-sparse", "exploration-test-sparse"} <= names
-    begun = api.train(oracle(**SMALL), run.settings, tmp_path / "begun", init_from=run.directory)
-    assert begun.latest().iteration == 2
-    with pytest.raises(RunError, match="must adapt a latent alone"):
-        api.export(run.directory, tmp_path / "policy.npz")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.probes import HiddenEnd
-from small_runs import create, finish, metrics, outcome, reopened, tensors
+from small_runs import create, finish
 
 from maesn.context import Latent
 from maesn.envs import TaskSet
@@ -19,8 +19,6 @@ from maesn.learners.pearl.encoder import EncoderSettings, Factors
 from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES
 from maesn.learners.pearl.replay import Replay, transitions_of
 from maesn.learners.pearl.sac import SoftActorCritic
-from maesn.numerics.mesh import sharing_tasks
-from maesn.runs.checkpoint import REPLAY
 from maesn.search import latent_of
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
@@ -196,25 +194,6 @@ def tiny(**settings: Any) -> PearlMetaLearner:
     return small(**{"replay_steps": 600, "initial_tasks": 2} | settings)
 
 
-create_pearl = partial(create, learner=tiny(), iterations=4, checkpoint_every=1)
-
-
-def test_an_interrupted_run_is_the_same_bit_for_bit_and_only_its_newest_checkpoint_has_replay(
-    tmp_path: Path,
-) -> None:
-    whole = finish(create_pearl(tmp_path / "whole"))
-    halves = finish(create_pearl(tmp_path / "halves"), iterations=2)
-    resumed = finish(reopened(halves))
-    assert outcome(whole) == outcome(resumed)
-    replays = [run.directory.rglob(f"{REPLAY}*") for run in (whole, resumed)]
-    (first,), (second,) = map(list, replays)
-    assert tensors(first) == tensors(second)
-    assert first.name == second.name
-    assert not [name for name in tensors(whole.checkpoints()[-1]) if "rings" in name]
-    planned = whole.learner.planned_episodes(3, 4)
-    assert metrics(whole)[-1]["environment_steps"] == planned * 40
-
-
 def test_the_context_may_show_sparse_reward_while_training_learns_from_dense(
     tmp_path: Path,
 ) -> None:
@@ -254,27 +233,3 @@ def test_memory_is_bounded_and_a_visit_must_fit() -> None:
 def test_tasks_that_it_cannot_learn_from_are_refused(problem: Problem, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         small().init(jax.random.key(0), problem)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        lambda: small(meta_batch_size=0),
-        lambda: small(extra_batches=-1),
-        lambda: EncoderSettings(kl_weight=-1.0),
-        lambda: EncoderSettings(hidden_sizes=(0,)),
-        lambda: SoftActorCritic(discount=1.5),
-        lambda: SoftActorCritic(learning_rate=0.0),
-        lambda: SoftActorCritic(output_penalty=-1.0),
-        lambda: SoftActorCritic(hidden_sizes=(0,)),
-    ],
-)
-def test_impossible_settings_are_refused(settings: Any) -> None:
-    with pytest.raises(ValueError, match="must"):
-        settings()
-
-
-def test_several_devices_are_refused() -> None:
-    devices = jax.devices("cpu")
-    with sharing_tasks([devices[0]] * 2), pytest.raises(ValueError, match="on one device"):
-        small().check_batch(3)

@@ -106,19 +106,6 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
         assert gradient[index] == pytest.approx((high - low) / (2 * width), rel=1e-3, abs=1e-6)
 
 
-def test_at_the_policy_that_played_it_is_the_policy_gradient() -> None:
-    """grad L = -mean[(x - p) A], since every ratio is 1."""
-    trials, advantages = random_trials()
-    played = trials.behaviour
-    assert isinstance(played, Categorical)
-
-    valid = np.asarray(trials.valid)[..., None]
-    score = np.asarray(trials.action) - np.asarray(played.probabilities)
-    expected = -np.where(valid, score * advantages[..., None], 0.0) / valid.sum()
-    _, gradient = loss_and_gradient(ProximalStep(), played.logits, trials, np.float32(advantages))
-    np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6)
-
-
 distributions = eqx.filter_jit(Trials.distributions)
 
 

@@ -185,13 +185,6 @@ def test_latents_that_were_not_played_stay(preset: str) -> None:
         assert (old[played] != new[played]).any(axis=-1).all()
 
 
-def test_step_sizes_of_theta_wait_for_their_stage() -> None:
-    sizes = [state.parameters.step_sizes for state in run("maesn_theta").states]
-    for old, new in zip(*map(jax.tree.leaves, (sizes[0].policy, sizes[-1].policy)), strict=True):
-        np.testing.assert_array_equal(old, new)
-    assert (sizes[0].context.mean != sizes[-1].context.mean).any()
-
-
 def test_the_stage_of_theta_changes_nothing_at_once_and_then_learns() -> None:
     joining = PRESETS["maesn_theta"](**SMALL, adaptation=staged_adaptation(first_iteration=1))
     waiting = PRESETS["maesn_theta"](**SMALL)
@@ -220,8 +213,7 @@ def test_a_stride_beyond_the_horizon_leaves_some_curvature() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "decides"),
-    [("maml", True), pytest.param("maesn", False, marks=pytest.mark.long)],
+    ("name", "decides"), [("maml", True), pytest.param("maesn", False, marks=pytest.mark.long)]
 )
 def test_the_hessian_has_a_stride_of_its_own(name: str, decides: bool) -> None:
     outer = replace(SMALL["outer"], hessian_stride=1)

@@ -147,22 +147,6 @@ def trials_of_unequal_length() -> Trials:
     return join_episodes(collect.played)
 
 
-@pytest.mark.long
-def test_the_value_function_learns_returns() -> None:
-    """With a reward of 1 a step, a trial's returns follow from the time alone."""
-    value = RecurrentValue((), 8, (8,), MinibatchDescent(1e-2, epochs=150, minibatches=1))
-    trials = trials_of_unequal_length()
-    length = trials.valid.shape[1]
-    to_go = jnp.arange(length, 0, -1, dtype=float)
-    returns = jnp.broadcast_to(100.0 * to_go, trials.valid.shape)
-    before = value.init(jax.random.key(0), 1, 1)
-    np.testing.assert_allclose(value.values(before, trials), np.zeros_like(returns), atol=0.1)
-    after, accepted = value.fit(jax.random.key(1), before, trials, returns)
-    assert accepted
-    error = np.abs(np.asarray(value.values(after, trials)) - np.asarray(returns))
-    assert error.mean() < 0.1 * np.asarray(returns).std()
-
-
 def test_a_fit_that_does_not_end_in_numbers_leaves_the_value_function_as_it_was() -> None:
     value = RecurrentValue((), 4, (), MinibatchDescent(minibatches=1))
     trials = trials_of_unequal_length()

@@ -20,7 +20,6 @@ from maesn.inner.surrogate import action_distributions
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies import Recurrent, RecurrentPolicy
-from maesn.storage import RunError
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -131,15 +130,6 @@ def test_gradients_ignore_what_follows_the_end() -> None:
     gradient = jax.jit(jax.grad(loss))(policy, trials)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     assert not np.isnan(np.asarray(trials.reward)).any()
-
-
-def test_a_policy_of_the_wrong_kind_is_refused() -> None:
-    bandit = Collector(make_world(Bandit(), TaskSet(np.full((2, 5), 0.5, np.float32))), 1)
-    policy = Recurrent().init(jax.random.key(0), 1, 5, 0)
-    with pytest.raises(
-        RunError, match=r"`bandit` needs a policy of discrete actions, but .* continuous"
-    ):
-        play_trial(bandit, policy, 1)
 
 
 def test_discrete_actions_are_one_hot_and_told_as_they_are() -> None:

@@ -319,25 +319,6 @@ def test_without_weights_there_is_no_bonus() -> None:
     assert HyperBonus().init(jax.random.key(0), 4) is None
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        lambda: BeliefEncoderSettings(latent_size=0),
-        lambda: BeliefEncoderSettings(hidden_size=0),
-        lambda: BeliefDecoderSettings(cells=(0, 2)),
-        lambda: BeliefDecoderSettings(reward_std=0.0),
-        lambda: BeliefDecoderSettings(cells=(5, 5)).init(jax.random.key(0), 3, 4, 1),
-        lambda: BeliefInference(kl_weight=-1.0),
-        lambda: BeliefInference(prefixes=0),
-        lambda: HyperBonus(novelty_weight=-1.0),
-        lambda: HyperBonus(last_iteration=0),
-    ],
-)
-def test_impossible_settings_are_refused(settings: Any) -> None:
-    with pytest.raises(ValueError, match=r"must|needs observations of 2"):
-        settings()
-
-
 def test_the_belief_before_the_first_step_is_compared_with_a_standard_normal() -> None:
     belief = DiagonalGaussian(jnp.arange(6.0).reshape(3, 2), jnp.ones((3, 2)))
     before = previous(belief)

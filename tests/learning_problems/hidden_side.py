@@ -44,10 +44,7 @@ SLOTS: dict[str, dict[str, Any]] = {
 
 def assert_updates_raise_the_return_after_meta_training_alone(method: str, updates: int) -> None:
     collect = make_collect()
-    learner = PRESETS[method](
-        meta_batch_size=TASKS,
-        **SLOTS[method],
-    )
+    learner = PRESETS[method](meta_batch_size=TASKS, **SLOTS[method])
     trained = untrained = learner.init(jax.random.key(0), Problem(1, 1, TASKS))
     for iteration in range(30):
         trained, _ = learner.step(jax.random.key(iteration), trained, collect)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.networks import GRU, init_gru, init_recurrent_network
+from maesn.networks import GRU, init_gru
 
 INPUTS, HIDDEN, STEPS = 3, 4, 6
 
@@ -68,20 +68,6 @@ def test_the_start_is_orthogonal_gate_by_gate() -> None:
     gru = init_gru(jax.random.key(0), INPUTS, HIDDEN)
     for gate in jnp.split(gru.recurrent, 3, axis=1):
         np.testing.assert_allclose(gate.T @ gate, np.eye(HIDDEN), atol=1e-5)
-
-
-def test_a_network_unrolls_as_it_steps() -> None:
-    network = init_recurrent_network(
-        jax.random.key(0), INPUTS, 2, encoder_sizes=(5,), hidden_size=HIDDEN, readout_sizes=(3,)
-    )
-    x, hidden = random_inputs()
-    outputs, last = network.unroll(jnp.asarray(x), jnp.ones(STEPS, bool), jnp.asarray(hidden))
-    carry = jnp.asarray(hidden)
-    for t in range(STEPS):
-        output, carry = network(jnp.asarray(x[t]), carry)
-        np.testing.assert_allclose(outputs[t], output, rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(last, carry, rtol=1e-5, atol=1e-6)
-    assert np.abs(outputs).max() < 0.1  # nothing is preferred at the start
 
 
 @pytest.mark.usefixtures("x64")

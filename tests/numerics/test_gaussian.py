@@ -82,29 +82,6 @@ def test_fisher_product_is_the_hessian_of_the_kl_at_equality() -> None:
     assert not np.allclose(actual, ravel_pytree(tangent)[0])
 
 
-def test_fisher_product_is_the_variance_of_the_score() -> None:
-    gaussian, tangent = _gaussian(0, (2,)), _gaussian(1, (2,))
-    flat, unravel = ravel_pytree(gaussian)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(5)
-    nodes, weights = nodes.astype(np.float32), weights / weights.sum()
-    score_at = jax.jit(jax.grad(lambda x, value: unravel(x).log_prob(value)))
-    information = np.zeros((4, 4))
-    for first, first_weight in zip(nodes, weights, strict=True):
-        for second, second_weight in zip(nodes, weights, strict=True):
-            value = gaussian.sample_from_noise(jnp.asarray([first, second]))
-            score = np.float64(score_at(flat, value))
-            information += first_weight * second_weight * np.outer(score, score)
-    actual = ravel_pytree(gaussian.fisher_product(tangent))[0]
-    expected = information @ np.float64(ravel_pytree(tangent)[0])
-    np.testing.assert_allclose(actual, expected, rtol=1e-4)
-
-
-def test_sample_is_the_sample_from_the_noise_of_its_key() -> None:
-    gaussian, key = _gaussian(0), jax.random.key(3)
-    noise = jax.random.normal(key, (4, 3), jnp.float32)
-    np.testing.assert_array_equal(gaussian.sample(key), gaussian.sample_from_noise(noise))
-
-
 def test_samples_have_the_mean_and_the_standard_deviation_within_five_sigma() -> None:
     gaussian, count = _gaussian(0, (3,)), 20_000
     samples = np.float64(jax.vmap(gaussian.sample)(jax.random.split(jax.random.key(0), count)))
@@ -137,12 +114,6 @@ def test_leading_axes_broadcast_and_equal_vmap() -> None:
     np.testing.assert_allclose(actual.mean, expected.mean, rtol=1e-6)
     np.testing.assert_allclose(actual.log_std, expected.log_std, rtol=1e-6)
     assert single.sample_from_noise(values).shape == values.shape
-
-
-def test_standard_is_the_standard_normal() -> None:
-    gaussian = DiagonalGaussian.standard((2, 3))
-    np.testing.assert_array_equal(gaussian.mean, np.zeros((2, 3)))
-    np.testing.assert_array_equal(gaussian.log_std, np.zeros((2, 3)))
 
 
 def test_an_event_of_another_dimension_is_refused() -> None:

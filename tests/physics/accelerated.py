@@ -40,12 +40,7 @@ def quickly(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def one_step_errors(
-    engine: MjxEngine,
-    model: str | Path,
-    qpos: Any,
-    qvel: Any,
-    control: Any,
-    frame_skip: int = 1,
+    engine: MjxEngine, model: str | Path, qpos: Any, qvel: Any, control: Any, frame_skip: int = 1
 ) -> dict[str, np.ndarray]:
     """Differences from plain MuJoCo after every single step, largest of each simulation.
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from physics.facts import (
     ANT,
-    ARM,
     BLOCK_MASS,
     BLOCKPUSH,
     CAPSULES,
@@ -16,7 +15,6 @@ from physics.facts import (
     DOWN,
     FACTS,
     FREE,
-    GRIPPER_DENSITY,
     GRIPPER_MASS,
     HINGE,
     HIP,
@@ -24,20 +22,13 @@ from physics.facts import (
     LEFT,
     RIGHT,
     SLIDE,
-    TIP,
-    TIP_MASS,
-    TRACK,
     UP,
     WHEEL_MASS,
-    WHEEL_TURN,
-    WHEELED,
     WHEELS,
     Facts,
     X,
     Y,
     Z,
-    capsule_inertia,
-    capsule_mass,
 )
 from physics.robots import inertia_tensor, names, text_of, without_looks
 
@@ -180,31 +171,6 @@ def at_rest(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def mass_matrix(robot: str) -> np.ndarray:
-    model = load_model(robot)
-    matrix = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, at_rest(model), matrix)
-    return matrix
-
-
-def test_resistance_of_the_wheeled_robot_to_turning_on_the_spot() -> None:
-    expected = WHEELED.inertias["car"][2, 2] + 2 * (WHEEL_TURN + WHEEL_MASS * TRACK**2)
-    assert mass_matrix("wheeled")[3, 3] == pytest.approx(expected, rel=1e-12)
-
-
-def test_resistance_of_gripper_and_blocks() -> None:
-    # About the vertical axis through the origin of the body: each part lies level, so that it
-    # turns across its own axis, plus its mass times the squared distance of its middle.
-    turning = sum(
-        capsule_inertia(GRIPPER_DENSITY, ARM, length, axis)[2, 2]
-        + capsule_mass(GRIPPER_DENSITY, ARM, length) * np.dot(place[:2], place[:2])
-        for length, axis, place in CAPSULES.values()
-    )
-    turning += 2 * TIP_MASS * (2 / 5 * TIP**2 + 0.1**2 + 0.1**2)
-    expected = [GRIPPER_MASS, GRIPPER_MASS, turning, *[BLOCK_MASS] * 10]
-    np.testing.assert_allclose(np.diag(mass_matrix("blockpush")) - 0.04, expected, atol=1e-12)
-
-
 def test_the_margin_of_a_contact_of_the_ant_is_the_experiments() -> None:
     """Whether the engine adds up the margins of what touches or takes the larger one."""
     model = load_model("ant")
@@ -229,13 +195,6 @@ def test_looks_have_no_effect_on_the_dynamics(robot: str, model: mujoco.MjModel)
     bare = without_looks(robot)
     assert (bare.nsite, bare.nmocap, bare.nmat, bare.ncam, bare.nlight) == (0, 0, 0, 0, 0)
     np.testing.assert_array_equal(driven(bare), driven(model))
-
-
-def test_a_table_that_can_be_touched_would_change_nothing() -> None:
-    solid = load_model("blockpush")
-    table = solid.geom("table").id
-    solid.geom_contype[table] = solid.geom_conaffinity[table] = 1
-    np.testing.assert_allclose(driven(solid), driven(load_model("blockpush")), atol=1e-10)
 
 
 def driven(model: mujoco.MjModel) -> np.ndarray:

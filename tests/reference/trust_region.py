@@ -113,10 +113,7 @@ def conjugate_gradient(matrix: Array, target: Array, steps: int) -> Array:
 
 
 def outer_step(
-    parameters: Parameters,
-    tasks: list[TaskData],
-    settings: Settings,
-    region: TrustRegionSettings,
+    parameters: Parameters, tasks: list[TaskData], settings: Settings, region: TrustRegionSettings
 ) -> Outcome:
     """Do one step: the longest candidate that lowers the loss within the trust region."""
     flat = flatten(parameters)

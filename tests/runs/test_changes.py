@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_runs import create, create_tiny, finish, outcome, reopened
 
-from maesn import api, cli
+from maesn import cli
 from maesn.runs.run import Run
 from maesn.runs.serialization import values_of_words
 from maesn.runs.training import change_run
@@ -98,9 +98,3 @@ def test_changes_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
             values_of_words(word.split())
     assert cli.run(["resume", str(run.directory), "--change", "tasks=test"]) == cli.USAGE_ERROR
     assert "`tasks`" in capsys.readouterr().err
-
-
-def test_changes_in_python(tmp_path: Path) -> None:
-    run = create(tmp_path / "run", iterations=1)
-    assert api.resume(run, change={"checkpoint_every": 1}).settings.checkpoint_every == 1
-    assert api.resume(run.directory).latest().iteration == 1

@@ -173,10 +173,7 @@ CONTRADICTIONS = [
         "advance",
         with_method(Point, advance=lambda self, readings, control: {"qpos": readings["qpos"]}),
     ),
-    (
-        "initial",
-        with_method(Wheeled, initial=lambda self, key, task: (jnp.zeros(6), jnp.zeros(5))),
-    ),
+    ("initial", with_method(Wheeled, initial=lambda self, key, task: (jnp.zeros(6), jnp.zeros(5)))),
     ("model_fields", with_method(Wheeled, model_fields=lambda self, task: {"body_mass": 1.0})),
     (
         "model_fields",

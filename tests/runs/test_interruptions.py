@@ -1,23 +1,14 @@
 """However training is interrupted, what comes out is what would have come out."""
 
-import dataclasses
 import itertools
 import logging
-import os
-import re
-import shutil
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
-from faults.processes import on_a_full_disk
 from small_runs import create, finish, metrics, outcome, reopened, tensors
 
-from maesn.runs import config, log
+from maesn.runs import config
 from maesn.runs.training import train
-from maesn.storage import RunError
 
 
 @pytest.fixture
@@ -38,60 +29,6 @@ def test_leaving_the_loop_saves(
     assert run.latest().iteration == first
     assert len(metrics(run)) == first if first else not (run.directory / "metrics.jsonl").exists()
     assert outcome(finish(reopened(run))) == whole
-
-
-class Crash(BaseException):
-    """The process is gone."""
-
-
-class Death:
-    """Lets a process die at its n-th write: that one is half done, and nothing follows."""
-
-    def __init__(self, moment: int) -> None:
-        self._left = moment
-        self.dead = False
-
-    def before(self, call: Callable[..., Any], half: Callable[..., Any] | None = None) -> Any:
-        def wrapped(*arguments: Any, **options: Any) -> Any:
-            if not self.dead and self._left > 0:
-                self._left -= 1
-                return call(*arguments, **options)
-            if half is not None and not self.dead:
-                half(*arguments)
-            self.dead = True
-            raise Crash
-
-        return wrapped
-
-
-def half(path: Path, content: bytes) -> None:
-    with path.open("ab") as file:
-        file.write(content[:20])
-
-
-def test_death_at_any_write_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: tuple[bytes, dict[str, bytes]]
-) -> None:
-    begun = create(tmp_path / "begun")
-    for moment in range(1000):
-        directory, death = shutil.copytree(begun.directory, tmp_path / str(moment)), Death(moment)
-        run = dataclasses.replace(begun, directory=directory)
-        with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", death.before(os.fsync))
-            # Removing is also the clean-up after an exception, which a dead process does not do.
-            for method in ("replace", "unlink"):
-                patch.setattr(Path, method, death.before(getattr(Path, method)))
-            patch.setattr(log, "append", death.before(log.append, half))
-            patch.setattr(log, "cut_lines", death.before(log.cut_lines))
-            try:
-                finish(run)
-            except Crash:
-                assert death.dead
-        assert outcome(finish(reopened(run))) == whole
-        if not death.dead:
-            break
-    # Three checkpoints of five writes, six iterations of two lines, and the files' beginnings.
-    assert moment > 27
 
 
 @pytest.mark.parametrize("how", ["end", "all", "byte"])
@@ -130,18 +67,3 @@ def test_other_versions_are_mentioned(
         finish(reopened(run))
     assert "'jax': '0.1'" in caplog.text
     assert len(caplog.records) == 1
-
-
-def test_a_full_disk_is_one_sentence_and_loses_nothing(
-    tmp_path: Path, whole: tuple[bytes, dict[str, bytes]]
-) -> None:
-    failed = set()
-    for size in (10, 75, *range(140, 2500, 150)):
-        run = create(tmp_path / str(size))
-        try:
-            on_a_full_disk(partial(finish, run), size)()
-        except RunError as error:
-            (place,) = re.findall(f"`{run.directory}/([a-z]+)", str(error))
-            failed.add(place)
-        assert outcome(finish(reopened(run))) == whole
-    assert failed >= {"timing", "tensorboard", "checkpoints"}

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from small_runs import create, finish, metrics, outcome, reopened, tiny_maesn
+from small_runs import create, metrics, outcome, tiny_maesn
 
 from maesn.runs.run import Run
 
@@ -69,17 +69,6 @@ def new_runs(directory: Path) -> list[Run]:
         create(directory / name, tiny_maesn(), iterations=ITERATIONS, checkpoint_every=3)
         for name in ("whole", "killed")
     ]
-
-
-def test_a_killed_process_resumes_bit_for_bit(tmp_path: Path) -> None:
-    whole, killed = new_runs(tmp_path)
-    killer = Killer(tmp_path)
-    process = killer.start(killed)
-    assert killer.stop(killed, process, signal.SIGKILL) == -signal.SIGKILL
-    iterations = num_lines(killed) + 5
-    assert iterations < ITERATIONS
-    assert outcome(finish(reopened(killed), iterations)) == outcome(finish(whole, iterations))
-    assert metrics(killed)[-1]["environment_steps"] == iterations * STEPS_PER_ITERATION
 
 
 @pytest.mark.long

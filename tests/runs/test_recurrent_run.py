@@ -3,9 +3,8 @@
 import csv
 from pathlib import Path
 
-import numpy as np
 import pytest
-from small_runs import create, finish, metrics, outcome, reopened
+from small_runs import create, finish
 
 from maesn import api
 from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
@@ -28,24 +27,6 @@ def tiny() -> RecurrentMetaLearner:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = finish(create(tmp_path_factory.mktemp("runs") / "whole", tiny(), iterations=3))
     return run.directory
-
-
-@pytest.mark.long
-def test_a_run_goes_on_as_if_it_had_not_stopped(trained: Path, tmp_path: Path) -> None:
-    parts = create(tmp_path / "parts", tiny(), iterations=3)
-    finish(parts, iterations=2)
-    assert outcome(finish(reopened(parts))) == outcome(api.Run.open(trained))
-
-
-def test_what_is_written_of_an_iteration(trained: Path) -> None:
-    run = api.Run.open(trained)
-    assert run.settings.method == "rl2"
-    lines = metrics(run)
-    assert [line["iteration"] for line in lines] == [1, 2, 3]
-    # 2 tasks, 3 trials, 2 episodes of 40 steps.
-    assert [line["environment_steps"] for line in lines] == [480, 960, 1440]
-    for name in ("return_before", "return_after", "explained_variance", "policy_step/kl"):
-        assert all(np.isfinite(line[name]) for line in lines)
 
 
 def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:

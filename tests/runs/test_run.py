@@ -1,21 +1,15 @@
 """Run directories: what they hold, and where they can be made."""
 
 import dataclasses
-import errno
-import os
 from pathlib import Path
-from typing import Any
 
 import jax
-import numpy as np
 import pytest
-from playing import play
-from small_runs import create as create_drift
 from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
 from maesn import cli
 from maesn.context import LatentContext
-from maesn.envs import FAMILIES, AnyEnv, Point
+from maesn.envs import FAMILIES
 from maesn.learners import PRESETS
 from maesn.policies import CategoricalMLP
 from maesn.runs.run import Run
@@ -50,12 +44,6 @@ def test_a_new_run_starts_from_the_state_of_its_seed(tmp_path: Path) -> None:
     assert runs[0].latest_state().parameters.context_table.mean.shape == (100, 2)
 
 
-def test_the_untrained_state_has_a_key_that_no_iteration_has(tmp_path: Path) -> None:
-    run = create_drift(tmp_path / "run")
-    by_hand = jax.random.normal(run.iteration_key(2**32 - 1), (100, 2))
-    assert (run.latest_state().rows == by_hand).all()
-
-
 def test_all_keys_of_a_run_differ(finished: Path) -> None:
     run = Run.open(finished)
     iterations = [0, 1, 2, 3, 299, 300, 2**32 - 1]
@@ -63,35 +51,6 @@ def test_all_keys_of_a_run_differ(finished: Path) -> None:
     # Those that the untrained state splits its key into belong to no iteration either.
     split = jax.random.key_data(jax.random.split(run.iteration_key(2**32 - 1))).tolist()
     assert len({tuple(key) for key in [*keys, *split]}) == len(iterations) + 2
-
-
-class Later(Point):
-    """The family's environment as a later version of the library may have it."""
-
-    sparse_radius: float = 1.5
-    horizon: int = 20
-
-
-def test_a_changed_default_of_the_family_changes_no_run(finished: Path) -> None:
-    def rewards(env: AnyEnv) -> np.ndarray:
-        return np.asarray(play(env, POINT.task_set("test"), [0, 1, 2]).reward)
-
-    run = Run.open(finished)
-    later = POINT._replace(make_env=Later)
-    now = Run.open(finished, later)
-    for kind in ("dense", "sparse"):
-        np.testing.assert_array_equal(rewards(now.env(kind)), rewards(run.env(kind)))
-    # What a new run would play: half as many steps, and sparse rewards from farther away.
-    assert rewards(later.make_env(reward_kind="sparse")).shape[-1] == 20
-    assert now.world(sparse_radius=1.5).env.sparse_radius == 1.5
-    wider = run.env("sparse", sparse_radius=1.5)
-    assert (rewards(wider) != rewards(run.env("sparse"))).any()
-
-
-def test_an_environment_that_has_become_another_is_refused(finished: Path) -> None:
-    costly = type("Point", (Point,), {"control_cost": 0.5})
-    with pytest.raises(RunError, match=r"`control_cost` of `point` is now 0.5, but was 0.05"):
-        Run.open(finished, POINT._replace(make_env=costly)).env()
 
 
 def test_a_run_trained_on_another_set_of_the_family(tmp_path: Path) -> None:
@@ -140,20 +99,6 @@ def test_a_directory_that_cannot_be_made(tmp_path: Path) -> None:
     for place in ("file", "file/sub"):
         with pytest.raises(RunError, match="cannot work in"):
             create_tiny(tmp_path / place)
-
-
-@pytest.mark.parametrize("call", ["os.fsync", "pathlib.Path.mkdir", "pathlib.Path.replace"])
-def test_a_directory_that_could_not_be_filled_can_be_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(call, fail)
-        with pytest.raises(RunError, match=os.strerror(errno.ENOSPC)):
-            create_tiny(tmp_path / "run")
-    assert create_tiny(tmp_path / "run").latest().iteration == 0
 
 
 def test_no_run_there(tmp_path: Path) -> None:

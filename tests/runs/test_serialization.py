@@ -12,12 +12,7 @@ from maesn.learners import PRESETS, AbstractMetaLearner, maesn
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP, HyperRecurrent
-from maesn.runs.serialization import (
-    digest_of_document,
-    from_json,
-    replaced,
-    to_json,
-)
+from maesn.runs.serialization import digest_of_document, from_json, replaced, to_json
 
 OTHERS = {
     "sizes": maesn(policy=GaussianMLP(hidden_sizes=(), initial_std=0.5)),

@@ -6,17 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pictures import can_draw, drawn
 from scripts import load_script
 from small_runs import Drift, create, finish
 
 from maesn import api, cli
 from maesn.envs import find_family
-from maesn.evaluation import exploration, film
-from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import open_run
-from maesn.learners import maesn
-from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.runs.sources import TRAINED, find_run, policy_names, working_copy
 from maesn.runtime import Explorer
@@ -72,21 +67,6 @@ def test_each_adapts_to_tasks_that_it_has_not_seen(name: str) -> None:
     assert files(TRAINED) == installed
 
 
-@pytest.mark.long
-@pytest.mark.usefixtures("figures_unsaved")
-def test_one_can_be_drawn_and_filmed_by_its_name(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
-    few, copy = Evaluation(episodes=2, episodes_per_update=2), Path("maesn-wheeled")
-    api.adapt("wheeled", few)
-    for path in api.report(["wheeled"]).files:
-        assert path.parent == copy / "figures"
-    pictures = drawn(lambda: film.render("wheeled", few, after=[0], shown=1))
-    parents = {path.parent for path in pictures or []}
-    assert parents == ({copy / "render"} if can_draw() else set())
-
-
 @pytest.mark.parametrize("name", POLICIES)
 def test_each_can_be_exported_without_a_copy(name: str, folder: Path) -> None:
     assert cli.run(["export", name, "policy.npz"]) == 0
@@ -101,15 +81,6 @@ def test_a_prior_for_another_radius_goes_into_a_copy(folder: Path) -> None:
         for radius in (None, 1.5)
     }
     assert places == {None: TRAINED / "wheeled", 1.5: Path("maesn-wheeled")}
-
-
-def test_training_can_begin_with_one(folder: Path) -> None:
-    settings = RunSettings(family="wheeled", iterations=0)
-    run = api.train(maesn(), settings, folder / "run", init_from="wheeled")
-    begun, shipped = run.latest_state(), Run.open(TRAINED / "wheeled").latest_state()
-    np.testing.assert_array_equal(
-        begun.parameters.policy.log_std, shipped.parameters.policy.log_std
-    )
 
 
 def test_the_copy_is_made_once_and_is_a_run_like_any_other() -> None:

@@ -116,8 +116,7 @@ cli.main()
 
 
 @pytest.mark.parametrize(
-    ("first", "second"),
-    [("SIGTERM", "SIGINT"), ("SIGHUP", "SIGHUP"), ("SIGINT", "SIGINT")],
+    ("first", "second"), [("SIGTERM", "SIGINT"), ("SIGHUP", "SIGHUP"), ("SIGINT", "SIGINT")]
 )
 def test_a_second_signal_ends_the_process_at_once(first: str, second: str) -> None:
     with subprocess.Popen(

@@ -12,8 +12,6 @@ import pytest
 from runtime.robot import policy_file
 
 from maesn.envs import Wheeled
-from maesn.envs import wheeled as family
-from maesn.envs.wheeled import POSITION_NOISE, VELOCITY_NOISE
 from maesn.physics import NativeSimulator
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_wheeled.py"
@@ -64,16 +62,6 @@ def test_the_rewards_are_the_library_s(example: ModuleType) -> None:
     assert kinds == {True, False}
 
 
-def test_the_start_is_as_noisy_as_the_library_s(example: ModuleType) -> None:
-    robot, starts = example.Robot([1]), []
-    for _ in range(500):
-        robot.reset()
-        starts.append(robot.observation())
-    noise = np.repeat([POSITION_NOISE, VELOCITY_NOISE], 6)
-    assert (abs(np.mean(starts, axis=0)) < 4.5 * noise / np.sqrt(500)).all()
-    assert (abs(np.std(starts, axis=0) / noise - 1) < 4.5 / np.sqrt(2 * 500)).all()
-
-
 def evaluation(path: Path, num_tasks: int, updates: int) -> Path:
     """A table as `maesn adapt` writes it."""
     with path.open("w", newline="") as file:
@@ -95,19 +83,3 @@ def test_it_runs_and_reports(
     assert "after 1 updates, batched evaluator   -400.50  [-401.00, -400.00]" in printed
     assert "difference, task by task" in printed
     assert "% of the control period of 10 ms" in printed
-
-
-def test_it_solves_the_library_s_unseen_tasks(
-    example: ModuleType, wheeled_policy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    goals = []
-
-    def note(options: object, task: int, goal: np.ndarray, latencies: list[float]) -> np.ndarray:
-        goals.append(goal)
-        latencies.append(1e-5)
-        return np.zeros((1, 2))
-
-    monkeypatch.setattr(example, "solve_task", note)
-    example.main([str(wheeled_policy), "--tasks", "3", "--updates", "0"])
-    np.testing.assert_allclose(goals, np.asarray(family.task_set("test").tasks)[:3])
-    assert Wheeled().horizon == example.HORIZON

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from runtime.robot import fast_learner
 
 from maesn.context import LatentContext
-from maesn.envs import AnyEnv, Point, Wheeled
+from maesn.envs import AnyEnv, Point
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import PRESETS, Problem
@@ -62,15 +62,6 @@ def test_the_latent_alone_of_a_method_that_adapts_more() -> None:
     assert exported_policy(alone, Point(), {}).latent_size == 2
 
 
-@pytest.mark.parametrize(("env", "limit"), [(Point(), 1.0), (Wheeled(), 2.0)])
-def test_the_controls_are_read_off_the_environment(env: AnyEnv, limit: float) -> None:
-    found = probe_actuators(env)
-    assert found.offset.tolist() == [0.0, 0.0]
-    assert found.scale.tolist() == [limit, limit]
-    assert found.lower.tolist() == [-limit, -limit]
-    assert found.upper.tolist() == [limit, limit]
-
-
 class Unlimited(Point):
     """A point with shifted controls, limited on one side at most."""
 
@@ -100,7 +91,14 @@ class Squashed(Point):
         return jnp.tanh(action)
 
 
-@pytest.mark.parametrize("env", [Swapped(), Squashed()])
+class Dead(Point):
+    """A point with a dead zone far outside."""
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+        return jnp.where(jnp.abs(action) > 30.0, 0.0, action)
+
+
+@pytest.mark.parametrize("env", [Swapped(), Squashed(), Dead()])
 def test_controls_of_another_form_are_refused(env: AnyEnv) -> None:
     with pytest.raises(ValueError, match="for each actuator, but the action"):
         probe_actuators(env)

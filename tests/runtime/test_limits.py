@@ -13,11 +13,11 @@ from runtime.robot import fast_learner, policy_file
 from strangers import Arm, Skip
 
 from maesn.axes import Readings
-from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Point, Wheeled, ant, blockpush
+from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Wheeled, ant, blockpush
 from maesn.envs.foreign import gymnasium_family
 from maesn.physics import NativeSimulator
 from maesn.runs.export import Stated, exported_policy
-from maesn.runs.probing import probe_actuators, probe_sensors
+from maesn.runs.probing import probe_sensors
 from maesn.runtime import Explorer
 from maesn.runtime.table import facts
 
@@ -119,18 +119,6 @@ def test_the_period_of_the_simulation_holds() -> None:
     assert export(Driven(), control_period=0.01).description["control_period"] == 0.01
     with pytest.raises(ValueError, match=r"control period of 0\.01 s, not 0\.02 s"):
         export(Driven(), control_period=0.02)
-
-
-class Dead(Point):
-    """A point with a dead zone far outside."""
-
-    def control(self, action: Array) -> Array:
-        return jnp.where(jnp.abs(action) > 30.0, 0.0, action)
-
-
-def test_controls_that_are_odd_for_large_actions_alone_are_refused() -> None:
-    with pytest.raises(ValueError, match="for each actuator, but the action"):
-        probe_actuators(Dead())
 
 
 class Odd(Wheeled):

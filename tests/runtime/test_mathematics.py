@@ -25,17 +25,6 @@ def test_ridge_regression_gives_nothing_to_a_column_of_zeros() -> None:
     np.testing.assert_allclose(found, [2.0, 0.0], atol=1e-5)
 
 
-def test_a_return_that_the_baseline_explains_has_no_advantage() -> None:
-    # Equal observations at equal times: V(o_0) is the mean of the first returns, so the advantage
-    # is the standardised first return.
-    generator = np.random.default_rng(2)
-    observations = [np.ones((4, 3))] * 30
-    rewards = [generator.standard_normal(4) for _ in range(30)]
-    found = baseline.episode_advantages(observations, rewards, 0.5, 1e-5)
-    first = np.asarray([reward @ 0.5 ** np.arange(4) for reward in rewards])
-    np.testing.assert_allclose(found, scipy.stats.zscore(first), atol=1e-6)
-
-
 def test_equal_values_are_standardised_to_zero() -> None:
     assert not baseline.standardize(np.full(7, 0.1)).any()
 
@@ -54,13 +43,6 @@ def test_a_step_follows_the_gradient_of_the_surrogate() -> None:
     slope = [(surrogate(at + nudge) - surrogate(at - nudge)) / 2e-5 for nudge in nudges]
     moved = rule().step(latent, drawn, advantage, update=0)
     np.testing.assert_allclose(np.concatenate([moved.mean, moved.log_std]) - at, slope, rtol=1e-7)
-
-
-def test_a_latent_is_shortened_to_its_bound_and_keeps_its_direction() -> None:
-    latent = Latent(np.asarray([3.0, -4.0]), np.asarray([0.1, 0.2]))
-    np.testing.assert_allclose(latent.within(2.0).mean, [1.2, -1.6])
-    assert latent.within(2.0).log_std is latent.log_std
-    assert latent.within(5.0) is latent
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -12,8 +12,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.kernel import ROUGHNESS, matern, roughness
 from maesn.runtime.posterior import OUTLIER, Posterior, Reading
-from maesn.runtime.prior_moments import moments
-from maesn.runtime.return_model import ReturnModel, ReturnPrior
+from maesn.runtime.return_model import ReturnModel, ReturnPrior, moments
 
 
 def random_prior(
@@ -188,14 +187,6 @@ def test_without_noise_everything_stays_finite_and_no_task_takes_all_the_weight(
         np.testing.assert_allclose(posterior.mean, returns, atol=1e-6)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_an_archive_of_one_latent_is_enough(noise: float) -> None:
-    one = random_prior(4, latents=1)
-    model = model_of(replace(one, noise=np.full(1, noise), episodes=1))
-    posterior = posterior_of(model, [Reading(0, 5.0), Reading(0, 5.0)])
-    assert np.isfinite([posterior.mean, posterior.std]).all()
-
-
 def test_mean_and_std_are_those_of_the_mixture() -> None:
     """Over draws: of a task by its weight, and of f in it, within 4.5 standard errors."""
     model = model_of(random_prior(3, tasks=5))
@@ -241,14 +232,6 @@ def test_far_from_the_archive_only_the_average_and_the_residual_are_known() -> N
     assert Posterior.of_prior(model, far).std[0] == pytest.approx(
         np.sqrt(model.covariance(far, far)[0, 0])
     )
-
-
-def test_noise_larger_than_the_spread_over_tasks_leaves_a_sound_process() -> None:
-    prior = replace(random_prior(7), noise=np.full(12, 1e5))
-    model = ReturnModel(prior, residual=1e-3, length_scale=1.0)
-    posterior = posterior_of(model, random_readings(model, 20, 8))
-    assert np.isfinite(posterior.mean).all()
-    assert np.isfinite(posterior.std).all()
 
 
 def test_an_outlier_moves_beliefs_no_more_than_the_limit() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from runtime.robot import STEPS, constant, contents, observations, play, towards
 
-from maesn.runtime import Actuators, Explorer, Safeguards
+from maesn.runtime import Explorer, Safeguards
 
 
 def executed(policy: Path, safeguards: Safeguards | None, steps: int = 60) -> Any:
@@ -29,12 +29,6 @@ def test_controls_stay_within_the_limits_and_actions_are_recorded_as_they_were(
     np.testing.assert_array_equal(held.actions, free.actions)
     np.testing.assert_array_equal(held.controls, np.clip(free.controls, [-0.2, -1.0], 0.1))
     assert (free.controls != held.controls).any()
-
-
-def test_the_policy_s_own_range_is_the_widest(policy: Path) -> None:
-    free, wide = executed(policy, None), executed(policy, Safeguards(lower=-5.0, upper=5.0))
-    np.testing.assert_array_equal(free.controls, wide.controls)
-    assert abs(free.actions).max() > 1.0 >= abs(free.controls).max()
 
 
 def test_controls_change_no_faster_than_they_may(policy: Path) -> None:
@@ -157,11 +151,3 @@ def test_what_leaves_is_finite_or_refused(policy: Path, number: str) -> None:
             assert contents(explorer) == before
     assert refused or number == "offset"
     assert all("must be finite, but the action" in message for message in refused)
-
-
-def test_actuators_scale_shift_and_clip() -> None:
-    actuators = Actuators(
-        np.asarray([0.5, 0.0]), np.asarray([2.0, -1.0]), np.full(2, -1.0), np.full(2, np.inf)
-    )
-    assert actuators.control(np.asarray([-3.0, -7.0])).tolist() == [-1.0, 7.0]
-    assert actuators.control(np.asarray([1.0, 7.0])).tolist() == [2.5, -1.0]

@@ -124,15 +124,6 @@ def test_an_interval_lies_between_the_levels_of_its_latent() -> None:
         assert places == pytest.approx(wanted, abs=1e-4)
 
 
-def test_no_latent_beyond_the_bound_is_chosen() -> None:
-    bounded = replace(search_of(), max_norm=2.0)
-    search, chosen = searched(bounded, np.asarray([0.0, 3.0]), 8)
-    for point in (*chosen, search.best):
-        assert np.linalg.norm(search.latent(point)) <= 2.0
-    none = replace(search, max_norm=1e-6)
-    assert none.best == np.argmin(np.linalg.norm(none.points, axis=1))
-
-
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An exported policy that searches, with draws around the best."""
@@ -189,9 +180,7 @@ def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
     assert explorer.beliefs.familiar == search.posterior.familiar > 0.5
 
 
-def test_four_robots_search_as_the_library_does_and_report_in_any_order(
-    tmp_path: Path,
-) -> None:
+def test_four_robots_search_as_the_library_does_and_report_in_any_order(tmp_path: Path) -> None:
     """One robot plays for itself; between the reports of the others the search is saved."""
     target, horizon, path = np.asarray([1.0, 2.5]), Point().horizon, tmp_path / "robot.npz"
     steered, keys = fast_learner().latent, jax.random.split(jax.random.key(5), 1)
@@ -257,6 +246,8 @@ def test_results_that_make_no_sense_change_nothing(policy: Path) -> None:
         explorer.add_result(z + 1.0, [0.0])
     with pytest.raises(ValueError, match="`count`"):
         explorer.propose(0)
+    with pytest.raises(ValueError, match="`max_return_drop` takes back steps"):
+        Explorer.load(policy, safeguards=Safeguards(max_return_drop=1.0))
     assert contents(explorer) == before
     explorer.begin_episode(z=z)
     with pytest.raises(RuntimeError, match="`propose` was called while an episode"):
@@ -340,11 +331,6 @@ def test_the_library_s_search_says_so_too(caplog: pytest.LogCaptureFixture) -> N
         state = learner.update(state, episodes_of(seen, played, reward=given))
     (record,) = caplog.records
     assert record.message.startswith("In 2 of 3 tasks, episodes returned 5 to 5, but the prior")
-
-
-def test_a_search_refuses_to_take_steps_back(policy: Path) -> None:
-    with pytest.raises(ValueError, match="`max_return_drop` takes back steps of the policy gradie"):
-        Explorer.load(policy, safeguards=Safeguards(max_return_drop=1.0))
 
 
 def test_beliefs_and_proposals_are_those_of_a_search(tmp_path: Path) -> None:

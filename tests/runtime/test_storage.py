@@ -87,34 +87,6 @@ def test_a_new_task_without_a_seed_is_random(policy: Path) -> None:
     assert len(draws) == 3
 
 
-def test_a_truncated_file_is_recognised(policy: Path, tmp_path: Path) -> None:
-    in_the_middle(policy).save(tmp_path / "saved.npz")
-    content = (tmp_path / "saved.npz").read_bytes()
-    for length in [*range(0, len(content), 997), len(content) - 1]:
-        (tmp_path / "cut.npz").write_bytes(content[:length])
-        with pytest.raises(ValueError, match=r"cut\.npz: .*something else or damaged"):
-            Explorer.load(tmp_path / "cut.npz")
-
-
-def test_a_flipped_bit_is_recognised_or_harmless(policy: Path, tmp_path: Path) -> None:
-    explorer = in_the_middle(policy)
-    explorer.save(tmp_path / "saved.npz")
-    content, expected = (tmp_path / "saved.npz").read_bytes(), contents(explorer)
-    messages = []
-    for position in np.random.default_rng(0).integers(len(content), size=300):
-        damaged = bytearray(content)
-        damaged[position] ^= 1 << int(position % 8)
-        (tmp_path / "damaged.npz").write_bytes(damaged)
-        try:
-            loaded = Explorer.load(tmp_path / "damaged.npz")
-        except ValueError as error:
-            messages.append(str(error))
-        else:  # a byte that means nothing, such as the time in the archive's directory
-            assert contents(loaded) == expected
-    assert len(messages) > 150
-    assert all("damaged.npz: " in message for message in messages)
-
-
 def rewritten(policy: Path, path: Path, **changes: Any) -> Path:
     """The policy's file with some entries changed, or left out where the change is None."""
     with np.load(policy) as archive:
@@ -151,8 +123,8 @@ def test_every_array_is_needed(policy: Path, tmp_path: Path) -> None:
         # A number of the metadata.
         *(("factor", math.nan, "`factor` must"), ("factor", 10**400, "`factor` must")),
         *(("discount", 2, "`discount` must"), ("ridge", math.inf, "`ridge` must")),
-        *(("full_steps", 0, "`full_steps` must"), ("num_layers", 0, "`num_layers` must")),
-        ("observation_size", -1, "`observation_size` must"),
+        *(("full_steps", 0, "`full_steps` must"), ("num_layers", 0, "`num_layers` 0")),
+        ("observation_size", -1, "`observation_size` -1"),
     ],
 )
 def test_senseless_entries_are_refused(

@@ -1,6 +1,5 @@
 """From the same recorded episodes the runtime makes the library's update."""
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -131,15 +130,3 @@ def test_exactly_in_double_precision() -> None:
         learner, 3, lambda state, update: synthetic(learner, state.agents.context, update)
     )
     assert (found < 1e-10).all()
-
-
-def test_the_step_sizes_matter() -> None:
-    # Guards the tests above: another step size is seen at this tolerance.
-    learner = fast_learner()
-    halves = jax.tree.map(lambda size: size / 2, learner.step_sizes)
-    slower = dataclasses.replace(learner, step_sizes=halves)
-    episodes = synthetic(learner, learner.init(keys(NUM_TASKS)).agents.context, 0)
-    first, second = (
-        adapted(explorers(each)[0], recorded(episodes, 0)) for each in (learner, slower)
-    )
-    assert abs(first.latent_mean - second.latent_mean).max() > 100 * TOLERANCE

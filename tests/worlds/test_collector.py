@@ -83,11 +83,6 @@ def test_a_slot_depends_on_no_other_slot(env: AnyEnv) -> None:
     np.testing.assert_array_equal(before.noise[0], after.noise[3])
 
 
-def test_a_task_may_be_played_in_two_slots(env: AnyEnv) -> None:
-    episodes = collector(env)(keys(2), agents(env, 2), jnp.array([6, 6]))
-    assert not np.any(np.equal(episodes.noise[0], episodes.noise[1]))
-
-
 def test_log_probabilities_can_be_recomputed_from_what_is_recorded(env: AnyEnv) -> None:
     cast = agents(env, 2)
     episodes = collector(env)(keys(2), cast, jnp.array([0, 1]))

@@ -8,17 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from carts import MOTOR, RUNAWAY, TIME_STEP, CartTask, cart_on
-from learning_problems.probes import HiddenEnd
-from playing import agents, keys, play
+from playing import play
 
-from maesn.axes import RecurrentState
 from maesn.envs import TaskSet
-from maesn.experience.agent import Agents
-from maesn.numerics import DiagonalGaussian
 from maesn.physics import NativeSimulator, PhysicsError
-from maesn.policies import AbstractPolicy, PolicyInput
-from maesn.worlds import make_world
-from maesn.worlds.collector import Collector
 
 EPISODES = 5
 LIMIT = 100.0  # m/s
@@ -39,7 +32,7 @@ def runaway(directory: Path) -> type:
 
 def test_physics_that_blows_up_after_the_end_is_no_error(tmp_path: Path) -> None:
     # v_t = 10^t m/s in the episodes that are pushed: the first above 100 is v_3, and the first
-    # acceleration that MuJoCo warns of is met in step 8 (tests/test_rollout_errors.py).
+    # acceleration that MuJoCo warns of is met in step 8.
     env = runaway(tmp_path)(horizon=12)
     tasks = TaskSet(CartTask(np.float32([1, 0]), np.float32([1, 1])))
     episodes = play(env, tasks, [0, 1], episodes=EPISODES)
@@ -68,31 +61,6 @@ def test_only_abandoned_simulations_may_blow_up() -> None:
         with pytest.raises(PhysicsError) as caught:
             simulator.step(controls, abandoned=abandoned)
         assert caught.value.simulations == failed
-
-
-class Adder(AbstractPolicy):
-    """Remembers the sum of all that it has seen."""
-
-    def __call__(
-        self, policy_input: PolicyInput, context: jax.Array, carry: RecurrentState
-    ) -> tuple[DiagonalGaussian, RecurrentState]:
-        carry = carry + policy_input.observation
-        return DiagonalGaussian(carry, jnp.zeros(1)), carry
-
-    def initial_recurrent_state(self) -> RecurrentState:
-        return jnp.zeros(1)
-
-
-def test_memory_ends_with_the_episode() -> None:
-    # The observation is t / T, so the sum over t < L is L (L - 1) / 2T; then comes NaN.
-    env, lifetimes = HiddenEnd(horizon=6), np.float32([2, 9])
-    collect = Collector(make_world(env, TaskSet(lifetimes)), EPISODES)
-    cast = Agents(Adder(), agents(env, 2).context, shares_policy=True)
-    episodes = collect(keys(2), cast, jnp.array([0, 1]))
-    assert np.isnan(episodes.observation[0, :, -1]).all()
-    remembered = np.asarray(episodes.trial_end.recurrent_state)[..., 0]
-    for slot, lived in enumerate((2, 6)):
-        np.testing.assert_allclose(remembered[slot], lived * (lived - 1) / 12, rtol=1e-6)
 
 
 def test_a_control_step_may_be_several_physics_steps(tmp_path: Path) -> None:

@@ -6,15 +6,7 @@ import jax
 import numpy as np
 import pytest
 from playing import agents, assert_same, play
-from strange_families import (
-    EPISODES,
-    SEED,
-    family_of,
-    is_running,
-    seeds,
-    settable,
-    walkers,
-)
+from strange_families import EPISODES, SEED, family_of, is_running, seeds, settable, walkers
 from strangers import HORIZON, Chooser, Walker, draw_walks
 
 from maesn.context import Nothing
@@ -85,9 +77,7 @@ def test_truncation_is_no_termination(episodes: Episodes) -> None:
     np.testing.assert_array_equal(episodes.terminated[:4, 0], [True, False, True, False])
 
 
-def test_neither_processes_nor_how_tasks_are_set_change_what_is_played(
-    episodes: Episodes,
-) -> None:
+def test_neither_processes_nor_how_tasks_are_set_change_what_is_played(episodes: Episodes) -> None:
     settled = play(
         settable.make_env(), tasks(), range(8), episodes=EPISODES, seed=SEED, num_threads=3
     )

@@ -17,15 +17,7 @@ import numpy as np
 import pytest
 import strange_families
 from playing import agents, keys, play
-from strange_families import (
-    EPISODES,
-    SEED,
-    broken,
-    family_of,
-    impatient,
-    is_running,
-    seeds,
-)
+from strange_families import EPISODES, SEED, broken, family_of, impatient, is_running, seeds
 from strangers import (
     HORIZON,
     Diarist,
@@ -54,8 +46,13 @@ FAILURES = {
     25: "`truncated` must be a truth value, got np.float64(nan)",
     26: "`info` must be a dictionary, got None",
     30: "`step` raised ValueError: the gears are stuck",
+    31: "`step` raised ValueError: <unlocked _thread.lock",
+    32: "`step` raised RecursionError: too deep",
+    33: "`step` raised MemoryError: nothing left",
+    34: "the environment has ended its process",
     40: "has not returned within `time_limit`, 2 s",
     41: "the environment has ended its process (exit code 3)",
+    42: "the environment has ended its process",
 }
 AT_RESET = {
     50: "`set_task` raised KeyError: 'no such task'",
@@ -67,7 +64,7 @@ AT_RESET = {
 REASONS = FAILURES | AT_RESET
 # One of each way in which a failure reaches the process that learns: a number or an exception that
 # a worker reports, at a step or a reset, and workers that hang or are gone.
-THROUGH_PROCESSES = (10, 11, 30, 40, 41, 50, 63)
+THROUGH_PROCESSES = (10, 11, *range(30, 35), 40, 41, 42, 50, 63)
 STEP = 2
 
 
@@ -249,9 +246,7 @@ def checked(make_env: Callable[[np.ndarray, str], object]) -> None:
     check_env_contract(env, rows()[0])
 
 
-def test_an_environment_is_stepped_before_training_starts(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_an_environment_is_stepped_before_training_starts(caplog: pytest.LogCaptureFixture) -> None:
     checked(make_settable)
     assert not caplog.records
     reason = r"`stranger`, task 0: `step` raised ValueError: the gears are stuck"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from physics.by_hand import ROBOTS, Judged
 from physics.plain import plain_episodes
-from playing import agents, assert_same, constant_agents, keys
+from playing import agents, constant_agents, keys
 
 from maesn.axes import Key
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, Wheeled, find_family
@@ -136,14 +136,3 @@ def test_these_episodes_have_what_is_to_be_compared(played: Played) -> None:
     ended = [judged.ends.any() for judged in played.judged]
     assert any(ended) == (played.env.name == "ant")
     assert not all(ended)
-
-
-def test_two_threads_give_the_same_episodes_as_one() -> None:
-    assert_same(collect(WHEELED, TASK_INDEX, num_threads=2), collect(WHEELED, TASK_INDEX))
-
-
-def test_nothing_is_left_of_earlier_episodes() -> None:
-    first = collect(WHEELED, TASK_INDEX)
-    # The same collector, and so the same simulator, in between in other tasks.
-    collect(WHEELED, [5, 6])
-    assert_same(collect(WHEELED, TASK_INDEX), first)

@@ -9,85 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bernoulli_bandit import bandit
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array
 from learning_problems.probes import HiddenEnd, hidden_end
 
 from maesn.context import Nothing
 from maesn.envs import FAMILIES, AnyEnv
 from maesn.experience.agent import Agents
-from maesn.numerics import AbstractDistribution, DiagonalGaussian
+from maesn.numerics import DiagonalGaussian
 from maesn.policies import AbstractPolicy, CategoricalMLP, GaussianMLP, PolicyInput
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 KEYS = jax.random.split(jax.random.key(0), 2)
 SLOTS = jnp.arange(2)
-
-
-class Squashed(AbstractDistribution):
-    """tanh of a Gaussian, as of SAC."""
-
-    base: DiagonalGaussian
-
-    def sample(self, key: PRNGKeyArray) -> Array:
-        return jnp.tanh(self.base.sample(key))
-
-    @staticmethod
-    def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Array:
-        return jax.random.normal(key, shape)
-
-    def sample_from_noise(self, noise: Array) -> Array:
-        return jnp.tanh(self.base.sample_from_noise(noise))
-
-    def mode(self) -> Array:
-        return jnp.tanh(self.base.mean)
-
-    def log_prob(self, value: Array) -> Array:
-        correction = jnp.log1p(-(value**2)).sum(-1)
-        return self.base.log_prob(jnp.arctanh(value)) - correction
-
-    def kl(self, other: "Squashed") -> Array:
-        return self.base.kl(other.base)
-
-    def entropy(self) -> Array:
-        return self.base.entropy()
-
-    def std(self) -> Array:
-        return self.base.std()
-
-    def fisher_product(self, tangent: "Squashed") -> "Squashed":
-        return Squashed(self.base.fisher_product(tangent.base))
-
-
-class SquashedPolicy(AbstractPolicy):
-    """A policy whose distribution the library does not have."""
-
-    weight: Float[Array, "observation action"]
-
-    def __call__(self, policy_input: PolicyInput, z: Array, recurrent_state: Any) -> Any:
-        mean = policy_input.observation @ self.weight
-        return Squashed(DiagonalGaussian(mean, jnp.zeros_like(mean))), recurrent_state
-
-    def initial_recurrent_state(self) -> None:
-        return None
-
-    @property
-    def distribution(self) -> type[AbstractDistribution]:
-        return Squashed
-
-
-@pytest.mark.parametrize("is_noisy", [True, False])
-def test_a_distribution_of_ones_own_plays(is_noisy: bool) -> None:
-    family = FAMILIES["point"]
-    env = family.make_env(horizon=5)
-    policy = SquashedPolicy(jnp.eye(env.observation_size, env.action_size))
-    cast = Agents(policy, Nothing(), shares_policy=True, is_noisy=is_noisy)
-    world = make_world(env, family.task_set("test"))
-    episodes = Collector(world, 3)(KEYS, cast, SLOTS)
-    assert isinstance(episodes.behaviour, Squashed)
-    assert np.all(np.abs(episodes.action) < 1.0)
-    follows = np.allclose(episodes.action, episodes.behaviour.mode())
-    assert follows != is_noisy
 
 
 @pytest.mark.parametrize(

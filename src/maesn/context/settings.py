@@ -21,13 +21,7 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
 
     @abstractmethod
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Value:
-        """Return the context table, which training learns: a row per training task, or one for all.
-
-        Args:
-            key: random key.
-            num_tasks: number of training tasks.
-            description_size: components of the description of a task.
-        """
+        """Return the table that training learns: a row per training task, or one for all."""
 
     @abstractmethod
     def start(self, table: Value, task_index: Int[Array, " task"]) -> Value:
@@ -42,12 +36,8 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
     ) -> Float[Array, " z"]:
         """Return the z of one episode inside the inner loss, where its gradient matters.
 
-        This is `drawn`, unless the gradient of the context runs through it.
-
-        Args:
-            value: the context that is being adapted.
-            noise: the episode's recorded random draw.
-            drawn: the z that the policy was fed while the episode was played.
+        This is `drawn`, which the policy was fed, unless the gradient of the context runs through
+        it. The noise is the episode's recorded draw.
         """
         return drawn
 
@@ -75,10 +65,8 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
     ) -> Float[Array, ""]:
         """Return the penalty of one task's pre-update context in the outer loss: 0 by default.
 
-        Args:
-            table: what training learns, which may hold more than contexts, such as a prior.
-            value: the context.
-            noise: the recorded noise of each z, for a penalty that is estimated from draws.
+        The table may hold more than contexts, such as a prior. The recorded noise of each z is for
+        a penalty that is estimated from draws.
         """
         return jnp.zeros(())
 

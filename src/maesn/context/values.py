@@ -25,10 +25,7 @@ class AbstractContext(eqx.Module):
     ) -> Float[Array, " z"]:
         """Return z, the policy's constant input during one episode.
 
-        Args:
-            noise: the episode's draw of `noise`, `noise_size` components.
-            description: the description of the episode's task, `description_size`
-                components.
+        It follows from the episode's draw of `noise` and the description of its task.
         """
 
     @property
@@ -47,11 +44,9 @@ class AbstractContext(eqx.Module):
         return 0
 
     def noise(self, key: Key, episode: Int[Array, ""]) -> Float[Array, " noise"]:
-        """Draw the noise of the z of one episode: standard normal, by default.
+        """Draw the noise of the z of one episode, by its key: standard normal, by default.
 
-        Args:
-            key: random key of the episode.
-            episode: index of the episode among those that are played side by side.
+        The episode's index is that among those that are played side by side.
         """
         return jax.random.normal(key, (self.noise_size,))
 

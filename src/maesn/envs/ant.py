@@ -49,7 +49,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractReaching, Goal
@@ -97,7 +97,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         qpos = jnp.asarray(START) + POSITION_NOISE * jax.random.normal(position_key, (15,))
         return qpos, VELOCITY_NOISE * jax.random.normal(velocity_key, (14,))
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 8"]:
+    def control(self, action: Action) -> Float[Array, " 8"]:
         return jnp.clip(action, -1.0, 1.0)
 
     def observe(self, readings: Readings) -> Float[Array, " 125"]:
@@ -112,11 +112,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         )
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
         # A state that blew up has no reward: the last sound one counts instead.
         alive = is_sound(next_readings)

@@ -1,28 +1,7 @@
 """Gymnasium's ant that is to walk in a direction or to a goal.
 
 It is another ant than that of the MAESN paper (`maesn.envs.ant`): stronger, with steps five times
-as long.
-
-| family            | task                              | goal part of the reward      | cost of u |
-|-------------------|-----------------------------------|------------------------------|-----------|
-| `ant_dir`         | direction e, uniform on the       | v . e                        | 0.5       |
-|                   | unit circle                       |                              |           |
-| `ant_goal`        | goal g, uniform on the disc of    | -|x - g|_1                   | 0.1       |
-|                   | radius 3 m                        |                              |           |
-| `sparse_ant_goal` | the same                          | 1 - d if d <= R, else -R     | 0.01      |
-
-x is the position of the torso after the step, v its mean velocity in the step, d = |x - g|_2, and
-R = 0.75 m. All rewards have a control cost subtracted, which the table has per squared unit of u,
-and 0.0005 per squared unit of contact torques and forces, clipped to [-1, 1]. `ant_dir` adds 1 for
-each step.
-
-Sources: `AntRandDirec2DEnv` and `AntRandGoalEnv` of jonasrothfuss/ProMP; `AntDirEnv` and
-`AntGoalEnv` of katerakelly/oyster (`rlkit/envs`) and `AntGoalEnv` of lmzintgraf/varibad, with the
-same numbers; `AntGoalSparseEnv` of lmzintgraf/hyperx (`environments/mujoco/ant_goal.py`).
-
-An episode has 200 steps of 0.05 s. In `ant_dir` a torso below 0.2 m or above 1 m ends it, and the
-rewards of 1 with it; ProMP has no lower limit. The goal families have no early end. In all of them
-a state that is not finite ends an episode: the sources' engine silently reset such a state.
+as long. `docs/reference/families.md` has tasks, rewards, ends and their sources.
 
 Observation (107 components; `ant_dir` lacks the first two; the task is not among them):
 
@@ -39,12 +18,13 @@ Observation (107 components; `ant_dir` lacks the first two; the task is not amon
 Action (8 components a, unbounded; the motors receive u = clip(a, -1, 1), 150 N m for a unit): hip
 4, ankle 4, hip 1, ankle 1, hip 2, ankle 2, hip 3, ankle 3.
 
-Differences from the sources: observations are those of Gymnasium's `Ant-v5`, and with positions for
-goals. Oyster shows contact forces for goals alone (27 and 113 components, the forces on the world
-among them), hyperx the position of the torso once more (116). Here contact forces and the velocity
-belong to the state that the step leads to; v5 takes both from the last stage of its integrator, up
-to 0.01 s earlier. Oyster's `ant-dir` trains and tests on 2 directions. Varibad's `AntDir2D-v0`
-takes the first component of a direction for its angle, so that all lie within 57 degrees of x.
+Differences from the sources (`AntRandDirec2DEnv` and `AntRandGoalEnv` of jonasrothfuss/ProMP,
+`AntDirEnv` and `AntGoalEnv` of katerakelly/oyster, `AntGoalSparseEnv` of lmzintgraf/hyperx):
+observations are those of Gymnasium's `Ant-v5`, and with positions for goals. Oyster shows contact
+forces for goals alone (27 and 113 components, the forces on the world among them), hyperx the
+position of the torso once more (116). Here contact forces and the velocity belong to the state that
+the step leads to. ProMP has no lower limit of the torso. A state that is not finite ends an
+episode; the sources' engine silently reset such a state.
 """
 
 from typing import ClassVar, Literal
@@ -54,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Readings
+from maesn.axes import Action, Readings
 from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound
 from maesn.envs.base import RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
@@ -96,7 +76,7 @@ class AbstractAntV5(AbstractWalking[Task]):
         alive = is_sound(next_readings)
         return jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
 
-    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+    def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         """Return the cost of controls and contacts."""
         return super().costs(readings, action) + CONTACT_COST * jnp.sum(
             _contact_forces(readings) ** 2
@@ -119,7 +99,7 @@ class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
     ) -> Float[Array, ""]:
         return jnp.dot(self.velocity(readings, next_readings, 2), task)
 
-    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+    def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         return super().costs(readings, action) - SURVIVAL_BONUS
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import ActionKind, Key, ObservedReward, Readings
+from maesn.axes import Action, ActionKind, Key, ObservedReward, Readings
 from maesn.physics import ModelActuators, model_actuators
 from maesn.settings import check_choice, check_number
 
@@ -78,6 +78,8 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     variant: eqx.AbstractVar[Variant]
     variants: ClassVar[tuple[str, ...]] = ("reference", "paper")
     """What `variant` can be."""
+    has_one_reward: ClassVar[bool] = False
+    """Whether dense and sparse reward are one, which policies see as it is."""
     planar: ClassVar[bool] = True
     """Whether `position` and `goal` mean something, so that figures can show them."""
 
@@ -99,15 +101,11 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return how an episode starts: a pytree of arrays that the world understands."""
 
     @abstractmethod
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
+    def control(self, action: Action) -> Float[Array, " control"]:
         """Map the policy's unbounded action to what reaches the actuators."""
 
     def actuators(self) -> ModelActuators:
-        """Return names of the actuators, and the limits that the world itself sets on controls.
-
-        They hold on top of what `control` does. No names and no limits, unless the environment
-        overrides it.
-        """
+        """Return names of the actuators, and limits of the world on top of `control`; or none."""
         free = np.full(self.action_size, np.inf)
         return ModelActuators(("",) * self.action_size, -free, free)
 
@@ -116,34 +114,21 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return what the agent sees of the world."""
 
     def observation_names(self) -> tuple[str, ...]:
-        """Return names of the components of an observation, for those who build a robot.
-
-        None, unless the environment overrides it: they are then read off `observe`.
-        """
+        """Return names of the components of an observation; none if `observe` tells them."""
         return ()
 
     def instruction(self, task: Task) -> Float[Array, " instruction"]:
-        """Return what the agent sees of its task: a vector appended to the observation.
-
-        Empty, unless the environment overrides it.
-        """
+        """Return what the agent sees of its task, appended to the observation; empty by default."""
         return jnp.zeros(0)
 
     def describe(self, task: Task) -> Float[Array, " description"]:
-        """Return a vector that identifies the task, which oracles alone receive.
-
-        All numbers of the task, unless the environment overrides it.
-        """
+        """Return a vector that identifies the task, for oracles alone: by default all of it."""
         leaves = [jnp.ravel(jnp.asarray(leaf)).astype(float) for leaf in jax.tree.leaves(task)]
         return jnp.concatenate(leaves)
 
     @abstractmethod
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Task,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Task
     ) -> Reward:
         """Return the reward of one step."""
 
@@ -157,10 +142,10 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         return jnp.full((), jnp.nan)
 
     def situation(self, task: Task) -> Any:
-        """Return what of a task an episode depends on; the rest decides rewards alone.
+        """Return what of a task an episode depends on, by default all; the rest decides rewards.
 
-        All of it, unless the environment overrides it. A policy that sees neither task nor reward
-        plays the same episodes in tasks of one situation, so that each can be judged in all.
+        A policy that sees neither task nor reward plays the same episodes in tasks of one
+        situation, so that each can be judged in all.
         """
         return task
 
@@ -168,7 +153,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         self,
         kind: ObservedReward,
         readings: Readings,
-        action: Float[Array, " action"],
+        action: Action,
         next_readings: Readings,
         task: Task,
     ) -> Float[Array, ""]:
@@ -178,19 +163,16 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         depends on the distance of the goal. A policy sees `uninformative_reward` there instead,
         the same in all tasks.
         """
-        env = self if kind == "own" else dataclasses.replace(self, reward_kind="sparse")
+        as_is = kind == "own" or self.has_one_reward
+        env = self if as_is else dataclasses.replace(self, reward_kind="sparse")
         reward = env.reward(readings, action, next_readings, task)
-        if env.reward_kind == "dense":
+        if self.has_one_reward or env.reward_kind == "dense":
             return reward.total
         near = env.solved(next_readings, task)
         return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
 
     def check_shown(self, kind: ObservedReward) -> None:
-        """Refuse a kind of reward that policies cannot see here.
-
-        Raises:
-            ValueError: they cannot.
-        """
+        """Raise ValueError for a kind of reward that policies cannot see here."""
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         """Whether the episode ends by nature in this state: never, unless overridden."""
@@ -209,10 +191,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return the agent's planar position (metres), for figures."""
 
     def judged_position(self, readings: Readings, task: Task) -> Float[Array, " 2"]:
-        """Return the planar position (metres) of what has to reach the goal, for pictures.
-
-        This is the agent, unless the environment overrides it.
-        """
+        """Return the planar position (metres) of what must reach the goal, by default the agent."""
         return self.position(self.observe(readings))
 
     @abstractmethod
@@ -220,10 +199,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return the task's planar position (metres), for figures."""
 
     def landmarks(self, task: Task) -> Float[Array, "landmark 2"]:
-        """Return the planar positions (metres) of what a task places beside its goal.
-
-        Nothing, unless the environment overrides it.
-        """
+        """Return the planar positions (metres) of what a task places beside its goal, if any."""
         return jnp.zeros((0, 2))
 
 
@@ -235,10 +211,7 @@ class AbstractSimulatedEnv(AbstractEnv[Task]):
         """Return the positions and velocities that an episode starts from."""
 
     def model_fields(self, task: Task) -> dict[str, Array]:
-        """Return what the task changes in the dynamics: name of the quantity -> values.
-
-        Nothing, unless the environment overrides it.
-        """
+        """Return what the task changes in the dynamics, by default nothing: quantity -> values."""
         return {}
 
     def start(self, key: Key, task: Task) -> Start:

@@ -16,19 +16,8 @@ Observation (26 components; 28 in the variant `paper`):
 | 16-25 | velocity x, y of blocks 0 to 4                     | m/s   |
 | 26-27 | `paper` only, the instruction: goal x, y           | m     |
 
-Action (3 components a, unbounded; the motors receive u = clip(2 a, -2, 2)):
-
-| index | control u                                          | unit and range      |
-|-------|----------------------------------------------------|---------------------|
-| 0-1   | force on the gripper in x and y                    | N, -2 to 2          |
-| 2     | torque on the gripper about z                      | N m, -2 to 2        |
-
-Reward, with d the distance in metres of the relevant block from the goal g:
-
-| variant     | dense  | sparse, outside of the radius |
-|-------------|--------|-------------------------------|
-| `reference` | -5 d   | -5 |g|                        |
-| `paper`     | -d     | -c_max                        |
+Action (3 components a, unbounded; the motors receive u = clip(2 a, -2, 2)): force on the gripper in
+x and y (N), and torque about z (N m).
 
 Episodes last 100 steps of 0.01 s and never terminate. They start exactly as the task says, at rest
 and with the gripper at the origin: nothing is random but the policy. At full force the gripper
@@ -45,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
 from maesn.envs.goals import goal_reward
 from maesn.envs.tasks import TaskFamily
@@ -102,7 +91,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         moved = jnp.asarray(task.layout) - _homes()
         return jnp.concatenate([jnp.zeros(3), moved.reshape(-1)]), jnp.zeros(13)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 3"]:
+    def control(self, action: Action) -> Float[Array, " 3"]:
         return jnp.clip(ACTION_SCALE * action, -ACTION_SCALE, ACTION_SCALE)
 
     def observe(self, readings: Readings) -> Float[Array, " 26"]:
@@ -118,11 +107,7 @@ class BlockPush(AbstractMujocoEnv[BlockPushTask]):
         return jnp.concatenate([chosen.astype(float), jnp.asarray(task.goal)])
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: BlockPushTask,
+        self, readings: Readings, action: Action, next_readings: Readings, task: BlockPushTask
     ) -> Reward:
         """Return the reward of one step, all of it due to the goal.
 
@@ -212,11 +197,7 @@ def _scatter(
 
 
 def _check_tasks(tasks: BlockPushTask) -> None:
-    """Refuse a block that is not there.
-
-    Raises:
-        ValueError: an index is out of range; JAX would silently take the nearest block.
-    """
+    """Raise ValueError for a block that is not there: JAX would silently take the nearest."""
     wrong = np.flatnonzero((tasks.block < 0) | (tasks.block >= NUM_BLOCKS))
     if wrong.size:
         raise ValueError(

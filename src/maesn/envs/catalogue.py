@@ -24,14 +24,7 @@ FAMILIES: dict[str, TaskFamily] = {
 
 
 def find_family(name: str) -> TaskFamily:
-    """Return a family by its name.
-
-    Args:
-        name: as in `FAMILIES` or `HOSTED`.
-
-    Raises:
-        ValueError: there is no such family; the message names the likeliest one and all others.
-    """
+    """Return a family of `FAMILIES` or `HOSTED`; ValueError names the likeliest and the others."""
     known = FAMILIES | HOSTED
     if name in known:
         return known[name]

@@ -1,16 +1,7 @@
 """Gymnasium's half cheetah that is to run at a speed, in a direction, or with another body.
 
-| family         | task                              | goal part of the reward | sets       |
-|----------------|-----------------------------------|-------------------------|------------|
-| `cheetah_vel`  | target speed v*, U(0, 3) m/s      | -|v - v*|               | drawn      |
-| `cheetah_dir`  | direction s, -1 or 1              | s v                     | both tasks |
-| `cheetah_body` | factors of mass, damping and      | v + z                   | drawn      |
-|                | friction, 2^U(-1, 1) each         |                         |            |
-
-v is the mean velocity along x in the step, in m/s, and z the height of the torso above its start,
-in metres. The part `other` of all rewards is minus the control cost, -0.05 sum(u^2).
-
-Sources: `HalfCheetahVelEnv` and `HalfCheetahDirEnv` of katerakelly/oyster (`rlkit/envs`), which
+`docs/reference/families.md` has tasks, rewards, and what differs from their sources:
+`HalfCheetahVelEnv` and `HalfCheetahDirEnv` of katerakelly/oyster (`rlkit/envs`), which
 lmzintgraf/varibad and jonasrothfuss/ProMP have with the same numbers; `HalfCheetahBodyEnv` of
 ido90/RobustMetaRL (RoML). An episode has 200 steps of 0.05 s and never ends early.
 
@@ -23,20 +14,8 @@ Observation (17 components, of Gymnasium's `HalfCheetah-v5`; the task is not amo
 | 8-10  | velocity x, z and rate of pitch of the torso                        | m/s, rad/s |
 | 11-16 | speeds of the six joints                                            | rad/s      |
 
-Action (6 components a, unbounded; the motors receive u = clip(a, -1, 1)):
-
-| index | control u                                                           | unit       |
-|-------|---------------------------------------------------------------------|------------|
-| 0-5   | torque on the joints, in the order of the angles                    | 120, 90,   |
-|       |                                                                     | 60, 120,   |
-|       |                                                                     | 60, 30 N m |
-
-Differences from the sources: oyster, varibad and RoML observe the position x, y, z of the torso as
-well (20 components); v5 shows no x, and ProMP neither. They run on `half_cheetah.xml` of another
-MuJoCo. Oyster draws 100 and 30 tasks with NumPy's seed 1337 (`drawn_velocities` returns them). RoML
-has target speeds up to 7 m/s in its own `cheetah_vel`. Its bodies differ in mass (but not in
-inertia), damping, thickness and the length of the head; here in mass together with inertia,
-damping of the joints, and friction of all contacts.
+Action (6 components a, unbounded; the motors receive u = clip(a, -1, 1)): torque on the joints, in
+the order of the angles, 120, 90, 60, 120, 60, 30 N m for a unit.
 """
 
 from functools import cache
@@ -164,11 +143,7 @@ def _draw_bodies(stream: np.random.Generator, size: int) -> Body:
 
 
 def _check_bodies(bodies: Body) -> None:
-    """Refuse factors that make no body.
-
-    Raises:
-        ValueError: one is not positive.
-    """
+    """Raise ValueError for factors that are not positive."""
     for name, factors in bodies._asdict().items():
         wrong = np.flatnonzero(factors <= 0)
         if wrong.size:
@@ -182,10 +157,5 @@ cheetah_dir = TaskFamily(
     "cheetah_dir", CheetahDir, _first_directions, ("direction",), seed=1803, num_tasks=2
 )
 cheetah_body = TaskFamily(
-    "cheetah_body",
-    CheetahBody,
-    _draw_bodies,
-    Body._fields,
-    seed=2301,
-    check_tasks=_check_bodies,
+    "cheetah_body", CheetahBody, _draw_bodies, Body._fields, seed=2301, check_tasks=_check_bodies
 )

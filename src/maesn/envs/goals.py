@@ -69,14 +69,7 @@ def draw_unfamiliar_goals(
 def half_circle_family(
     name: str, make_env: Callable[..., AnyEnv], radius: float, seed: int
 ) -> TaskFamily:
-    """Return the family whose goals lie on a half circle.
-
-    Args:
-        name: name of the family.
-        make_env: makes the environment; its tasks are goals.
-        radius: radius of the half circle, in metres.
-        seed: fixes the sets of the family.
-    """
+    """Return the family whose tasks are goals on a half circle of that radius, in metres."""
     return TaskFamily(
         name,
         make_env,

@@ -4,11 +4,7 @@ Source: `GridNavi` of lmzintgraf/varibad (`environments/navigation/gridworld.py`
 `GridNavi-v0` with 5 x 5 cells and 15 steps). There are 21 tasks, and every set is all of them: as
 in the paper, new tasks are the old ones.
 
-Observation (2 components; the goal is not among them):
-
-| index | quantity              | unit           |
-|-------|-----------------------|----------------|
-| 0-1   | column and row        | cells, 0 to 4  |
+Observation (2 components; the goal is not among them): column and row, 0 to 4.
 
 Action (one of 5): stay, up, right, down, left. A move against a wall leaves the agent where it is.
 
@@ -26,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Readings
+from maesn.axes import Action, ActionKind, Readings
 from maesn.envs.base import Reward, RewardKind, Variant
 from maesn.envs.reaching import AbstractPoint, Goal
 from maesn.envs.tasks import TaskFamily
@@ -58,7 +54,7 @@ class GridNavi(AbstractPoint):
     observation_size: int = 2
     action_size: int = len(MOVES)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " action"]:
+    def control(self, action: Action) -> Float[Array, " action"]:
         return action
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
@@ -67,11 +63,7 @@ class GridNavi(AbstractPoint):
         return {"qpos": there, "qvel": there - here}
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
         there = self.solved(next_readings, task)
         return Reward(jnp.where(there, GOAL_REWARD, OTHER_REWARD), jnp.zeros(()))

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
-from maesn.axes import Key, ObservedReward, Readings
+from maesn.axes import Action, Key, ObservedReward, Readings
 from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
 from maesn.foreign import Interface, WorkerPool
 
@@ -35,24 +35,16 @@ def nowhere(_: Any) -> Float[Array, " 2"]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How the environments of a family are made, hosted and shown."""
+    """How the environments of a family are made, hosted and shown; see `gymnasium_family`."""
 
     make_env: Callable[[Any, str], Any] | str
-    """Called with a task and "dense" or "sparse"; or its `module:name`."""
     time_limit: float
-    """Seconds that one call of an environment may take."""
     max_environments: int
-    """Environments that adaptation may keep at once."""
     position: Callable[[Any], Any]
-    """Planar position (metres) for figures from an observation, or `nowhere`."""
     goal: Callable[[Any], Any]
-    """Planar position (metres) for figures from a task, or `nowhere`."""
     situation: Callable[[Any], Any] | None
-    """What of a task an episode depends on; None for all of it."""
     reward: Callable[..., Any] | None
-    """The environment's own reward, as a function; None if it cannot be said."""
     python: str = ""
-    """Path of the interpreter, unless `--python` names one; as in `gymnasium_family`."""
 
 
 class AbstractGymnasiumEnv(AbstractEnv[Any]):
@@ -62,7 +54,8 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
     """
 
     engine: ClassVar[str] = "gymnasium"
-
+    # Far from the goal it may depend on the task.
+    has_one_reward: ClassVar[bool] = True
     interface: eqx.AbstractClassVar[Interface]
     recipe: eqx.AbstractClassVar[Recipe]
 
@@ -78,7 +71,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         """Return the seed that the episode is reset with."""
         return jax.random.bits(key, dtype=jnp.uint32)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
+    def control(self, action: Action) -> Float[Array, " control"]:
         if self.action_kind == "discrete":
             return action
         lower, upper = (
@@ -91,11 +84,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         return readings["observation"]
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Any,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Any
     ) -> Reward:
         """Return the environment's reward, all of it as the goal's part."""
         if self.recipe.reward is None:
@@ -103,19 +92,8 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         seen = readings["observation"], self.control(action), next_readings["observation"]
         return Reward(goal=self.recipe.reward(*seen, task, self.reward_kind), other=jnp.zeros(()))
 
-    def observed_reward(
-        self,
-        kind: ObservedReward,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Any,
-    ) -> Float[Array, ""]:
-        """Return the environment's reward as it is: far from the goal it may depend on the task."""
-        return self.reward(readings, action, next_readings, task).total
-
     def observation_names(self) -> tuple[str, ...]:
-        """Return names of the components of an observation: the parts of the space, in order."""
+        """Return the parts of the space, in order."""
         return self.interface.observation_names
 
     def situation(self, task: Any) -> Any:
@@ -130,11 +108,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         )
 
     def check_shown(self, kind: ObservedReward) -> None:
-        """Refuse a reward of another kind than the environment gives: it has one at a time.
-
-        Raises:
-            ValueError: the kind is another one.
-        """
+        """Raise ValueError for another reward than the environment's: it gives one at a time."""
         if kind not in ("own", self.reward_kind):
             raise ValueError(
                 f"`{self.name}` gives the {self.reward_kind} reward alone, but the policy reads "

@@ -3,26 +3,11 @@
 It has the wheeled robot's goals and rewards but no dynamics, so MAESN trains on it in seconds. It
 is not in the paper; its variants follow those of `maesn.envs.wheeled`.
 
-Observation (2 components; the goal is not among them):
+Observation (2 components; the goal is not among them): position x, y in metres.
 
-| index | quantity              | unit |
-|-------|-----------------------|------|
-| 0-1   | position x, y         | m    |
+Action (2 components a, unbounded): velocity in x and y, u = clip(a, -1, 1) m/s.
 
-Action (2 components a, unbounded; the point receives u = clip(a, -1, 1)):
-
-| index | control u             | unit and range      |
-|-------|-----------------------|---------------------|
-| 0-1   | velocity in x and y   | m/s, -1 to 1        |
-
-Reward, with d the distance from the goal g in metres:
-
-| variant     | dense               | sparse, outside of the radius |
-|-------------|---------------------|-------------------------------|
-| `reference` | -d - 0.05 sum(u^2)  | -|g| - 0.05 sum(u^2)          |
-| `paper`     | -d                  | -c_max                        |
-
-Episodes last 40 steps of 0.1 s and never terminate.
+The reward is that of `AbstractDriving`. Episodes last 40 steps of 0.1 s and never terminate.
 """
 
 from typing import ClassVar
@@ -31,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractDriving, AbstractPoint, Goal
@@ -61,15 +46,12 @@ class Point(AbstractDriving, AbstractPoint):
     def initial(self, key: Key, task: Goal) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
         return POSITION_NOISE * jax.random.normal(key, (2,)), jnp.zeros(2)
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+    def control(self, action: Action) -> Float[Array, " 2"]:
         return jnp.clip(action, -1.0, 1.0)
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
         velocity = STEP_LENGTH / self.control_period * control
-        return {
-            "qpos": readings["qpos"] + self.control_period * velocity,
-            "qvel": velocity,
-        }
+        return {"qpos": readings["qpos"] + self.control_period * velocity, "qvel": velocity}
 
 
 point = half_circle_family("point", Point, GOAL_RADIUS, seed=2)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractEnv, AbstractPureEnv, Reward
 from maesn.envs.goals import goal_reward
 
@@ -53,11 +53,7 @@ class AbstractDriving(AbstractReaching):
     """Cost of a squared unit of control."""
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
         """Return the reward of one step.
 

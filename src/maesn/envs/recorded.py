@@ -25,9 +25,9 @@ EnvRecord: TypeAlias = dict[str, Any]
 
 # What `TaskFamily.make_env` is called with.
 _FAMILY_SETTINGS = ("variant", "reward_kind", "sparse_radius")
-# Names, what only figures need, and the choices of which one is recorded. A digest stands for the
-# model. `typing.Generic` sets the last.
-_LEFT_OUT = ("name", "engine", "planar", "variants", "model", "_is_protocol")
+# Names, what the kind decides, what only figures need, and choices, one of which is recorded. A
+# digest stands for the model. `typing.Generic` sets the last.
+_LEFT_OUT = ("name", "engine", "has_one_reward", "planar", "variants", "model", "_is_protocol")
 _MODEL_DIGEST = "model_digest"
 _CONSTANTS = (bool, int, float, str, tuple, np.ndarray, np.generic)
 _MISSING = object()
@@ -39,11 +39,8 @@ def describe_env(env: AnyEnv) -> EnvRecord:
     These are the fields of the environment and the attributes of its class (`horizon`,
     `sparse_radius`, `control_period`, ...) that are numbers, strings, booleans, None, or tuples
     (named or not) or dataclasses of these. A digest stands for an array or a mapping, and
-    `model_digest` for a MuJoCo model.
-    Infinite numbers and NaN are written as text. Functions are left out.
-
-    Args:
-        env: an environment of any family.
+    `model_digest` for a MuJoCo model. Infinite numbers and NaN are written as text. Functions are
+    left out.
 
     Raises:
         FileNotFoundError: its MuJoCo model is missing.
@@ -57,12 +54,9 @@ def describe_env(env: AnyEnv) -> EnvRecord:
 
 
 def rebuild_env(family: TaskFamily, recorded: EnvRecord, **overrides: Any) -> AnyEnv:
-    """Return the recorded environment, whatever the family's defaults are today.
+    """Return the environment of `describe_env`, whatever the family's defaults are today.
 
-    Args:
-        family: the family of the recorded environment.
-        recorded: the result of `describe_env`, possibly read from JSON.
-        overrides: fields that are to differ from the record, such as `reward_kind`.
+    Overrides are fields that are to differ from the record, such as `reward_kind`.
 
     Raises:
         ValueError: a constant of the environment or its model differs from the record, or a

@@ -2,28 +2,12 @@
 
 Sources: `SparsePointEnv` of katerakelly/oyster (`rlkit/envs/point_robot.py`), of lmzintgraf/varibad
 (`environments/navigation/point_robot.py`, before its fork with other goals) and of
-NagisaZj/MetaCURE-Public (`rlkit/envs/point_robot.py`). They differ in a few numbers:
+NagisaZj/MetaCURE-Public (`rlkit/envs/point_robot.py`). `docs/reference/families.md` says in which
+numbers they differ. `reference` means `pearl`. The variant does not choose the reward.
 
-| variant    | radius R | steps T | reward in meta-training | tasks of the paper's code |
-|------------|----------|---------|-------------------------|---------------------------|
-| `pearl`    | 0.2      | 20      | dense                   | 80 and 20 of an even grid |
-| `varibad`  | 0.2      | 100     | sparse                  | drawn afresh              |
-| `metacure` | 0.3      | 32      | sparse                  | 40 and 20 of an even grid |
+Observation (2 components; the goal is not among them): position x, y.
 
-`reference` means `pearl`. The variant does not choose the reward: train `varibad` and `metacure` as
-their papers do with `sparse`.
-
-Observation (2 components; the goal is not among them):
-
-| index | quantity              | unit |
-|-------|-----------------------|------|
-| 0-1   | position x, y         | 1    |
-
-Action (2 components a, unbounded; the point moves by 0.1 u, with u = clip(a, -1, 1)):
-
-| index | control u             | unit and range      |
-|-------|-----------------------|---------------------|
-| 0-1   | step in x and y       | 0.1, -1 to 1        |
+Action (2 components a, unbounded): step in x and y, 0.1 u with u = clip(a, -1, 1).
 
 Every episode starts at the origin and has T steps; nothing ends it early. Goals lie on the upper
 half of the unit circle. With d the distance from the goal after the step, the reward is
@@ -43,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from maesn.axes import Readings
+from maesn.axes import Action, Readings
 from maesn.envs.base import Reward, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractPoint, Goal
@@ -73,7 +57,7 @@ class SparsePoint(AbstractPoint):
     observation_size: int = 2
     action_size: int = 2
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+    def control(self, action: Action) -> Float[Array, " 2"]:
         return jnp.clip(action, -1.0, 1.0)
 
     def advance(self, readings: Readings, control: Float[Array, " control"]) -> Readings:
@@ -81,11 +65,7 @@ class SparsePoint(AbstractPoint):
         return {"qpos": readings["qpos"] + step, "qvel": step / self.control_period}
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Goal,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
         distance = self.distance(next_readings, task)
         near = jnp.where(distance <= self.sparse_radius, 1.0 - distance, 0.0)
@@ -98,12 +78,8 @@ class SparsePoint(AbstractPoint):
 def make_sparse_point(variant: Variant = "reference", **settings: Any) -> SparsePoint:
     """The sparse point robot of PEARL, VariBAD and MetaCURE.
 
-    Args:
-        variant: `pearl`, which `reference` means as well, `varibad` or `metacure`.
-        settings: fields that are not to be as the variant has them.
-
-    Raises:
-        ValueError: there is no such variant, or a setting is wrong.
+    The variant is `pearl`, which `reference` means as well, `varibad` or `metacure`; settings are
+    fields that are not to be as it has them. Either may be a ValueError.
     """
     name: Variant = "pearl" if variant == "reference" else variant
     return SparsePoint(variant=name, **(PROTOCOLS.get(name, {}) | settings))

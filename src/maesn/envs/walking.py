@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Key, ObservedReward, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, Task
 
 NOISE = 0.1  # of the start: half width of positions, standard deviation of velocities; v5
@@ -26,6 +26,7 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
     frame_skip: ClassVar[int] = 5
     control_period: ClassVar[float] = 0.05
     variants: ClassVar[tuple[str, ...]] = ("reference",)
+    has_one_reward: ClassVar[bool] = True
     standing: eqx.AbstractClassVar[tuple[float, ...]]
     """qpos that starts scatter around: the model's own."""
     num_speeds: eqx.AbstractClassVar[int]
@@ -39,7 +40,7 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
         moved = jax.random.uniform(position_key, standing.shape, minval=-NOISE, maxval=NOISE)
         return standing + moved, NOISE * jax.random.normal(velocity_key, (self.num_speeds,))
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " control"]:
+    def control(self, action: Action) -> Float[Array, " control"]:
         return jnp.clip(action, -1.0, 1.0)
 
     @abstractmethod
@@ -49,11 +50,7 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
         """Return the part of a step's reward that depends on the task."""
 
     def reward(
-        self,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Task,
+        self, readings: Readings, action: Action, next_readings: Readings, task: Task
     ) -> Reward:
         after = self.sound(readings, next_readings)
         return Reward(self.goal_reward(readings, after, task), -self.costs(after, action))
@@ -62,7 +59,7 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
         """Return the state after a step, from which its reward is computed."""
         return next_readings
 
-    def costs(self, readings: Readings, action: Float[Array, " action"]) -> Float[Array, ""]:
+    def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         """Return the cost of the control, and of the state that it led to."""
         return self.control_cost * jnp.sum(self.control(action) ** 2)
 
@@ -70,17 +67,6 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
         """Return the mean velocity in a step along the first `size` axes, m/s."""
         moved = next_readings["qpos"][:size] - readings["qpos"][:size]
         return moved / self.control_period
-
-    def observed_reward(
-        self,
-        kind: ObservedReward,
-        readings: Readings,
-        action: Float[Array, " action"],
-        next_readings: Readings,
-        task: Task,
-    ) -> Float[Array, ""]:
-        """Return the reward, whatever its kind: there is one."""
-        return self.reward(readings, action, next_readings, task).total
 
     def situation(self, task: Task) -> Any:
         """Return nothing: the task decides the reward alone."""

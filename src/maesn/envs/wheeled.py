@@ -11,21 +11,10 @@ Observation (12 components; the goal is not among them):
 | 9     | rate of turn                         | rad/s |
 | 10-11 | speed of the right and left wheel    | rad/s |
 
-Action (2 components a, unbounded; the motors receive u = clip(2 a, -2, 2)):
+Action (2 components a, unbounded; the motors receive u = clip(2 a, -2, 2) N m): torque on the right
+and on the left wheel.
 
-| index | control u                            | unit and range      |
-|-------|--------------------------------------|---------------------|
-| 0     | torque on the right wheel            | N m, -2 to 2        |
-| 1     | torque on the left wheel             | N m, -2 to 2        |
-
-Reward, with d the distance of the car from the goal g in metres:
-
-| variant     | dense               | sparse, outside of the radius |
-|-------------|---------------------|-------------------------------|
-| `reference` | -d - 0.05 sum(u^2)  | -|g| - 0.05 sum(u^2)          |
-| `paper`     | -d                  | -c_max                        |
-
-Episodes last 200 steps of 0.01 s and never terminate.
+The reward is that of `AbstractDriving`. Episodes last 200 steps of 0.01 s and never terminate.
 """
 
 from typing import ClassVar
@@ -34,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Key, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
 from maesn.envs.reaching import AbstractDriving, Goal
@@ -69,7 +58,7 @@ class Wheeled(AbstractDriving, AbstractMujocoEnv[Goal]):
         qpos = POSITION_NOISE * jax.random.normal(position_key, (6,))
         return qpos, VELOCITY_NOISE * jax.random.normal(velocity_key, (6,))
 
-    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+    def control(self, action: Action) -> Float[Array, " 2"]:
         return jnp.clip(ACTION_SCALE * action, -ACTION_SCALE, ACTION_SCALE)
 
     def observe(self, readings: Readings) -> Float[Array, " 12"]:

@@ -68,15 +68,9 @@ class Agents(eqx.Module):
         )
 
     def map(self, function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
-        """Map `function(agent, *row)` over the tasks.
+        """Map `function(agent, *row)`, written for one task, over the tasks; see `map_tasks`.
 
-        Args:
-            function: written for one task; its first argument is an `Agent`.
-            *rows: its other arguments, each with a leading `task` axis.
-            how: see `map_tasks`.
-
-        Returns:
-            What the function returns, with a leading `task` axis.
+        Other arguments, and what is returned, have a leading `task` axis.
         """
 
         def one(policy: AbstractPolicy | None, context: AbstractContext, *row: Any) -> Any:

@@ -24,13 +24,9 @@ class TrialState(eqx.Module):
         observed_reward: Float[Array, " time"],
         valid: Bool[Array, " time"],
     ) -> "TrialState":
-        """Return the state after one more episode. Invalid steps do not change it.
+        """Return the state after one more episode, whose invalid steps do not change it.
 
-        Args:
-            recurrent_state: the policy's own after the episode.
-            action: actions of the episode.
-            observed_reward: rewards of the episode, as the policy received them.
-            valid: which of its steps were played.
+        The recurrent state is the policy's own after the episode; rewards are as it received them.
         """
         last = jnp.maximum(valid.sum() - 1, 0)
         return TrialState(

@@ -51,14 +51,10 @@ class Interface(NamedTuple):
 
 
 def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
-    """Return what an environment looks like from outside.
+    """Return what an environment looks like from outside, from the facts that it says of itself.
 
-    Args:
-        facts: what it says of itself.
-        arrivals: asked only if there are wrappers.
-
-    Raises:
-        InterfaceError: actions are neither bounded vectors nor choices.
+    It is asked for arrivals only if there are wrappers. InterfaceError says that actions are
+    neither bounded vectors nor choices.
     """
     kind, *bounds = facts["spaces"]["action"]
     if kind not in ("Box", "Discrete"):
@@ -103,13 +99,8 @@ def _tightened(
     """Return limits between which the innermost environment gets actions within its own space.
 
     Some wrappers take any action and clip it (`ClipAction`), some have a wider space than what they
-    wrap. Others map one space to the other (`RescaleAction`), and need nothing here.
-
-    Args:
-        limits: lower and upper bound of the outermost action space, `[2, component]`.
-        inner: the same of the innermost one.
-        found: what arrived of the middle and of both ends.
-        arrivals: sends the new limits, to see that they are some.
+    wrap. Others map one space to the other (`RescaleAction`), and need nothing here. Limits are
+    `[2, component]`; `found` is what arrived of the middle and of both ends.
     """
     middle, *reached = (calls[0] for calls in found)
     if middle.shape != limits[0].shape:
@@ -140,11 +131,8 @@ def _control_period(
 ) -> tuple[float | None, str]:
     """Return the seconds between two steps of the outermost environment, or None and why.
 
-    Args:
-        dt: seconds of a step of the innermost one, as Gymnasium's MuJoCo environments have it.
-        rates: pictures per second, rounded, of the innermost one and the outermost one, which show
-            one for each step.
-        repeats: steps of the innermost one in each of the outermost one; 0 if that varies.
+    The innermost one has steps of `dt` seconds, as Gymnasium's MuJoCo environments do; `repeats` of
+    them make one, 0 if that varies. Both show rounded rates of pictures, one for each step.
     """
     if not repeats:
         return None, "its wrappers may repeat actions, more or less often"

@@ -39,21 +39,17 @@ class WorkerPool:
     """Worker processes, each of which hosts every n-th environment.
 
     Tasks are those of `pack_task`. Every request raises a `WorkerError` if an environment cannot be
-    used; the pool must then be closed.
+    used, or if `make_env` cannot be sent; the pool must then be closed.
 
     Args:
-        make_env: the user's function of a task and the kind of reward, or its `module:name`.
-            Functions that a worker cannot import (those of a script, and lambdas) are sent by
-            value.
+        make_env: as for `gymnasium_family`. Functions that a worker cannot import (those of a
+            script, and lambdas) are sent by value.
         reward: "dense" or "sparse".
         spaces: those that every task must have; None for the first one's.
         num_workers: largest number of processes; they start when there are simulations for them.
         time_limit: seconds that one call of one environment may take.
         python: path of the interpreter, unless `hosted_in` names another; empty, or where there is
             none: this one.
-
-    Raises:
-        WorkerError: `make_env` cannot be sent to a process.
     """
 
     def __init__(
@@ -79,11 +75,7 @@ class WorkerPool:
         return [worker.process.pid for worker in self._workers]
 
     def describe(self, task: bytes) -> Interface:
-        """Return the interface of the environment of a task.
-
-        Raises:
-            InterfaceError: its spaces are not supported.
-        """
+        """Return the interface of the environment of a task, or raise InterfaceError."""
 
         def arrivals(controls: np.ndarray) -> tuple[list[np.ndarray], list[float]]:
             found, clocks = self._first("probe", task, packed(controls))
@@ -102,12 +94,7 @@ class WorkerPool:
         return answer
 
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
-        """Begin an episode in every simulation.
-
-        Args:
-            tasks: one for each simulation.
-            seeds: one for each episode.
-        """
+        """Begin an episode in every simulation, each with its task and its seed."""
         return self._read("begin", len(tasks), tasks, seeds)
 
     def step(self, controls: Float[np.ndarray, "simulation control"]) -> Readings:
@@ -119,9 +106,7 @@ class WorkerPool:
     ) -> list[UInt8[np.ndarray, "height width 3"]]:
         """Return the pictures that the first simulations draw of their present states.
 
-        Args:
-            num_simulations: number of the first ones; at most as many as have begun.
-            library: what MuJoCo draws with, unless the variable MUJOCO_GL says so.
+        MuJoCo draws with that library, unless the variable MUJOCO_GL says so.
         """
         pictures: list[Any] = [None] * num_simulations
         for share, drawn in self._ask("picture", num_simulations, [library] * num_simulations):
@@ -189,13 +174,7 @@ def hosted_in(python: str | os.PathLike[str]) -> Iterator[None]:
     """Let workers that start in this block run in another interpreter, Python 3.10 or later.
 
     It needs NumPy and what the environments import. Nothing of this library is installed there, and
-    no run records where it is.
-
-    Args:
-        python: path of the interpreter.
-
-    Raises:
-        RunError: there is no such program.
+    no run records where it is. RunError says that the path is none of a program.
     """
     if not os.access(python, os.X_OK) or Path(python).is_dir():
         raise RunError(

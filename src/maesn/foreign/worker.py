@@ -57,13 +57,8 @@ class HostedEnvironment:
     After its end, an episode keeps its last reading with reward 0 while others go on: the
     environment is not stepped again before it is reset. A reading is a vector of single precision:
     the observation, flattened, then the reward and whether the episode is terminated, truncated and
-    solved.
-
-    Args:
-        make_env: the user's function of a task and the kind of reward. It is called once if its
-            environment has a method `set_task`, and for every new task otherwise.
-        reward: "dense" or "sparse".
-        spaces: the `spaces` of `facts` that every task must have; None for the first one's.
+    solved. `make_env` is called once if its environment has a method `set_task`, and for every new
+    task otherwise. All tasks must have the `spaces` of `facts`; None for the first one's.
     """
 
     def __init__(self, make_env: Any, reward: str, spaces: dict[str, Any] | None = None) -> None:
@@ -76,11 +71,7 @@ class HostedEnvironment:
         self._ended = True
 
     def facts(self, task: bytes) -> dict[str, Any]:
-        """Return what the environment of a task says of itself.
-
-        Args:
-            task: pickled, so that tasks of any type can be compared.
-        """
+        """Return what the environment of a task says of itself."""
         env = self._with_task(task)
         inner = _unwrapped(env)
         return {
@@ -92,13 +83,9 @@ class HostedEnvironment:
         }
 
     def probe(self, task: bytes, controls: Any) -> tuple[list[Any], list[float]]:
-        """Return what becomes of controls on their way through the wrappers.
+        """Return what becomes of controls, `[control, component]`, on their way inside.
 
         The innermost environment plays the first one, and then repeats its answer.
-
-        Args:
-            task: pickled.
-            controls: `[control, component]`, packed.
 
         Returns:
             For each control, the actions that arrive at the innermost environment, `[call, action]`
@@ -184,9 +171,8 @@ class HostedEnvironment:
     def picture(self, library: str | None) -> Any:
         """Return the environment's picture of its present state, `[height, width, 3]`, packed.
 
-        Args:
-            library: what MuJoCo draws with, unless the variable MUJOCO_GL says so. It is set no
-                earlier than here: MuJoCo's import fails where the library cannot be used.
+        MuJoCo draws with that library, unless the variable MUJOCO_GL says so. It is set no earlier
+        than here: MuJoCo's import fails where the library cannot be used.
         """
         if library is not None:
             os.environ.setdefault("MUJOCO_GL", library)
@@ -302,15 +288,9 @@ def flattener(space: Any, where: str) -> Flattener:
     """Return a function that checks and flattens observations, in the order of Gymnasium's own.
 
     Gymnasium's `contains` asks for exact types and bounds, which environments often miss by little;
-    its `flatten` asks for nothing, and takes numbers of one part for those of another.
-
-    Args:
-        space: the space of an observation, or of a part of one.
-        where: the name of the observation in messages.
-
-    Returns:
-        The function; a text that is equal for spaces whose elements flatten alike; and a name for
-        each component.
+    its `flatten` asks for nothing, and takes numbers of one part for those of another. With it come
+    a text that is equal for spaces whose elements flatten alike, and a name for each component.
+    Messages call the observation, or the part of one, by `where`.
     """
     kind = _kind(space)
     if kind in ("Dict", "Tuple"):
@@ -461,14 +441,9 @@ class _Share:
         self._recipe = (make_env, *others)
 
     def answer(self, request: str, columns: Sequence[Any]) -> Any:
-        """Call a method of one environment after the other.
+        """Call a method of one environment after the other, with one value of each column.
 
-        Args:
-            request: name of the method of `HostedEnvironment`.
-            columns: for each argument of the method, one value per environment.
-
-        Returns:
-            The results; readings as one packed array.
+        Returns the results; readings as one packed array.
         """
         if request == "step":
             columns = [unpacked(columns[0])]
@@ -512,10 +487,10 @@ def _serve(connection: Connection, mark: mmap.mmap) -> None:
 
 
 def main(protocol: str, connection: str, mark: str, path: str) -> None:
-    """Serve the parent process until it closes the connection.
+    """Serve the parent process, of the same protocol, until it closes the connection.
 
     Args:
-        protocol: that of the parent; another worker's would be misunderstood.
+        protocol: version of the parent's.
         connection: file descriptor of a socket to the parent, which sends the recipe of a `_Share`
             and then requests: name and columns. Answers are (result, None) or (None, failure).
         mark: file descriptor of the memory for `MARK`, which both processes map.

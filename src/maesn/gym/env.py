@@ -22,7 +22,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     Args:
         family: as for `Stepper`, like every other setting.
         render_mode: `rgb_array` for pictures from `render`; None for none.
-        settings: `task`, `tasks`, `reward`, `variant`, `sparse_radius`; see `Stepper`.
+        settings: `task`, `tasks`, `reward`, `variant`, `sparse_radius`.
 
     Raises:
         RunError: there is no such family or set of tasks.
@@ -51,14 +51,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode.
+        """Start an episode; return observation and information: `task`, `is_success`.
 
         Args:
             seed: seed of all later draws; None to go on drawing as before.
             options: `{"task": index}` chooses the task of this episode.
-
-        Returns:
-            Observation and information: `task`, `is_success`.
 
         Raises:
             ValueError: there is no such option or task.
@@ -71,10 +68,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return observation[0], _single(information)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step.
-
-        Args:
-            action: an element of the action space; beyond it the actuators saturate.
+        """Advance by one control step; beyond the action space the actuators saturate.
 
         Returns:
             Observation, reward, whether the episode has terminated, whether it has run out of

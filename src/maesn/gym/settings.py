@@ -14,16 +14,7 @@ NO_EPISODE = "no episode is running: call `reset` before `step`."
 
 
 def refuse_unknown(kind: str, given: Iterable[str], known: Collection[str]) -> None:
-    """Raise an error about unknown names, instead of ignoring them.
-
-    Args:
-        kind: kind of the names, with an article.
-        given: the names to check.
-        known: all valid names.
-
-    Raises:
-        ValueError: a name is not known.
-    """
+    """Raise ValueError about names that are unknown, of a kind with its article."""
     for name in given:
         if name not in known:
             names = ", ".join(f"`{one}`" for one in known)
@@ -35,8 +26,7 @@ def checked_task(
 ) -> Int[np.ndarray, " episode"] | None:
     """Return the index of the task of each episode; None if they are to be drawn.
 
-    Raises:
-        ValueError: there is no such task, or it is not said for every episode.
+    ValueError says that there is no such task, or not one for every episode.
     """
     if task is None:
         return None

@@ -97,10 +97,7 @@ class Stepper:
 
     @property
     def action_space(self) -> Box | Discrete:
-        """Space of one episode: [-1, 1] is the actuators' range, see `docs/howto/gymnasium.md`.
-
-        The numbers of the choices, if actions are discrete.
-        """
+        """Space of one episode: [-1, 1] is the actuators' range, or the numbers of the choices."""
         if self._is_discrete:
             return Discrete(self.env.action_size)
         return Box(-1.0, 1.0, (self.env.action_size,), np.float32)
@@ -108,12 +105,8 @@ class Stepper:
     def choose(self, task: TaskChoice = None) -> Int[np.ndarray, " episode"] | None:
         """Return the index of the task of each episode; None if they are to be drawn.
 
-        Args:
-            task: index of the task, for all or for each episode; None for what was chosen when
-                the environment was made.
-
-        Raises:
-            ValueError: there is no such task.
+        A task of None is what was chosen when the environment was made. Any other is for all or for
+        each episode; ValueError says that there is none.
         """
         asked = checked_task(task, len(self.tasks), self.num_episodes)
         return self._chosen if asked is None else asked
@@ -124,16 +117,13 @@ class Stepper:
         streams: Sequence[np.random.Generator],
         chosen: Int[np.ndarray, " episode"] | None,
     ) -> tuple[np.ndarray, Information]:
-        """Start some episodes anew.
+        """Start some episodes anew, and return observations and information of all.
 
         Args:
             rows: indices of the episodes, ascending.
             streams: one for every episode; those of `rows` draw the start, and the task if it is
                 not chosen.
             chosen: the index of the task of each episode; None to draw them.
-
-        Returns:
-            Observations and information of all episodes.
 
         Raises:
             EpisodeError: the physics cannot begin with the state that was drawn.
@@ -160,17 +150,8 @@ class Stepper:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Information]:
         """Advance all episodes by one step; what happens to those that have ended means nothing.
 
-        Args:
-            action: one row for each episode, in the action space; beyond it the actuators saturate.
-
-        Returns:
-            Observations, rewards, which episodes have terminated, which have run out of time, and
-            information.
-
-        Raises:
-            EpisodeError: the physics of an episode blew up, or an observation or a reward is not
-                finite.
-            ValueError: the actions have another shape than their space, or are no choices.
+        Actions have one row for each episode; beyond the action space the actuators saturate.
+        Returns and raises as `TaskEnv.step`; ValueError also of what is no choice.
         """
         before, action = self._readings, np.asarray(action, np.float32)
         size = () if self._is_discrete else (self.env.action_size,)

@@ -70,21 +70,15 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         return self._stepper.tasks
 
     def reset(
-        self,
-        *,
-        seed: Seeds = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Seeds = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start episodes.
+        """Start episodes; return observations and information of all: `task`, `is_success`.
 
         Args:
             seed: seed of all later draws: episode i draws with `seed + i`, or with the i-th of
                 several; None to go on drawing as before.
             options: `{"task": index}` chooses the task of these episodes, for all of them or for
                 each; `{"reset_mask": mask}` starts those of the mask and leaves the others alone.
-
-        Returns:
-            Observations and information of all episodes: `task`, `is_success`.
 
         Raises:
             ValueError: there is no such option or task, or mask or seeds are not one for each
@@ -103,19 +97,9 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         return observation, _masked(information)
 
     def step(self, actions: Any) -> tuple[Any, ...]:
-        """Advance all episodes by one control step.
+        """Advance all episodes by one control step; returns and raises as `TaskEnv.step`, in rows.
 
-        Args:
-            actions: one row for each episode, in the action space.
-
-        Returns:
-            Observations, rewards, which episodes have terminated, which have run out of time, and
-            information: `task`, `is_success`, `goal_reward`.
-
-        Raises:
-            EpisodeError: the physics of an episode blew up, or something is no number.
-            ResetNeeded: no episode is running, or some have ended and wait for a reset.
-            ValueError: the actions have another shape than their space.
+        ResetNeeded also says that some episodes have ended and wait for a reset.
         """
         over = self._stepper.ended
         self._refuse_step(over)

@@ -70,9 +70,6 @@ class Adaptation(eqx.Module):
 
         A latent that moves by its likelihood ratio compares the returns of episodes. Of a single
         one the standardised advantage is 0, and nothing moves unless the policy does.
-
-        Args:
-            context: settings of the context.
         """
         compares = self.context is not None and not context.is_pathwise
         return 2 if compares and self.policy is None else 1
@@ -94,13 +91,8 @@ class Adaptation(eqx.Module):
     ) -> Agents:
         """Move every task's agent once. Differentiable in the agents and in the step sizes.
 
-        Args:
-            agents: the agents that played `episodes`.
-            sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: settings of the context.
-            episodes: what the agents played, `[task, episode, ...]`.
-            advantages: advantages of those episodes, `[task, ...]`.
-            scale: multiplies every step size.
+        Episodes are those that the agents played, `[task, episode, ...]`, with their advantages.
+        Of the step sizes, parts that are fixed are ignored; `scale` multiplies every one.
         """
         moved_policy, moved_context = agents.map(
             lambda agent, played, advantage: self.moved_parts(
@@ -127,13 +119,7 @@ class Adaptation(eqx.Module):
     ) -> tuple[Any, Any]:
         """Return the moved parts (policy, context) of one agent; None for a part that stays.
 
-        Args:
-            agent: one task's agent.
-            sizes: the learned step sizes; parts with fixed ones are ignored.
-            context: settings of the context.
-            episodes: what the agent played, `[episode, ...]`.
-            advantages: advantages of those episodes.
-            scale: multiplies every step size.
+        As for a call, without the axis of tasks.
         """
 
         def loss(parts: tuple[Any, Any]) -> Float[Array, ""]:

@@ -63,15 +63,12 @@ class AdvantageEstimator(eqx.Module):
             raise ValueError(f"`ridge` must be positive, got {self.ridge}.")
 
     def __call__(self, episodes: Episodes) -> Advantages:
-        """Return the advantages of one task.
+        """Return the advantages of one task, from its episodes `[episode, time, ...]`.
 
         The episode's advantage is the discounted return minus the baseline at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
         All advantages are 0 where all of several episodes have the same rewards (a sparse reward
         without control costs, before the goal is found), unless the estimator `drifts`.
-
-        Args:
-            episodes: episodes of one task, `[episode, time, ...]`.
         """
         reward = jnp.where(episodes.valid, episodes.reward, 0.0)
         returns = jax.vmap(discounted_returns, in_axes=(0, 0, None))(

@@ -22,12 +22,7 @@ def inner_loss(
 
     (Equations (4) to (6) of section "Meta-Learning Latent Variable Policies", with the likelihood
     ratio of section "Using the Latent Spaces for Exploration"; advantages as in the reference.)
-
-    Args:
-        agent: the agent to adapt; the gradient is taken with respect to it.
-        context: settings of the context.
-        episodes: one task's episodes, played by the agent before the step.
-        advantages: advantages of those episodes.
+    The gradient is taken with respect to the agent, which played the episodes before the step.
     """
     drawn = jax.vmap(context.inner_draw, in_axes=(None, 0, 0))(
         agent.context, episodes.noise, episodes.z
@@ -45,11 +40,8 @@ def outer_loss(
         L = -mean_{e,t}[ pi'(a_t | o_t, z'_e) / pi_old(a_t | o_t, z_e) * A_t ]
 
     where z' is redrawn from the adapted context with the recorded noise (`post_distributions`).
-
-    Args:
-        new: action distributions under the parameters that vary, `[episode, time, action]`.
-        episodes: one task's episodes, played by the adapted agent.
-        advantages: advantages of those episodes.
+    `new` are the distributions under the parameters that vary, `[episode, time, action]`; the
+    adapted agent played the episodes.
     """
     return -masked_mean(_ratio(new, episodes) * advantages.step, episodes.valid)
 
@@ -59,13 +51,7 @@ def clipped_loss(
 ) -> Float[Array, ""]:
     """The same with clipped probability ratios r (PPO, Schulman et al. 2017, equation 7).
 
-        L = -mean_{e,t}[ min(r A_t, clip(r, 1 - clip, 1 + clip) A_t) ]
-
-    Args:
-        new: as in `outer_loss`.
-        episodes: as in `outer_loss`.
-        advantages: as in `outer_loss`.
-        clip: how far a ratio may be from 1 and still count.
+    L = -mean_{e,t}[ min(r A_t, clip(r, 1 - clip, 1 + clip) A_t) ]
     """
     ratio = _ratio(new, episodes)
     bounded = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
@@ -85,13 +71,7 @@ def post_distributions(agent: Agent, episodes: Episodes) -> AbstractDistribution
 def action_distributions(
     agent: Agent, episodes: Episodes, drawn: Float[Array, "episode z"]
 ) -> AbstractDistribution:
-    """Return the policy's distribution at every step, `[episode, time, action]`.
-
-    Args:
-        agent: supplies the policy.
-        episodes: one task's episodes.
-        drawn: z of each episode.
-    """
+    """Return the policy's distribution at every step, `[episode, time, action]`, with these z."""
     inputs = agent.perceive(episodes.policy_inputs())
     trial = episodes.trial_start
     state = None if trial is None else trial.recurrent_state

@@ -60,9 +60,7 @@ class BayesianNetwork(eqx.Module):
 
             h_j = m_j + s_j ε_j,   m_j = Σ_i x_i μ_ij + μ_bj,   s_j² = Σ_i x_i² σ_ij² + σ_bj²
 
-        Args:
-            x: the input.
-            noise: ε of all units, layer after layer.
+        The noise is ε of all units, layer after layer.
         """
         *hidden, last = zip(self.mean.layers, self.rho.layers, strict=True)
         begin = 0
@@ -75,7 +73,7 @@ class BayesianNetwork(eqx.Module):
     def information_gain(
         self, gradient: "BayesianNetwork", step_size: float = 1.0
     ) -> Float[Array, ""]:
-        """Divergence of q after one Newton step from q before it, to second order.
+        """Divergence of q after one Newton step of size λ from q before it, to second order.
 
             KL( q(φ + λΔφ) || q(φ) ) ≈ ½ λ² ∇ℓᵀ H⁻¹ ∇ℓ,   Δφ = -H⁻¹ ∇ℓ
 
@@ -84,11 +82,8 @@ class BayesianNetwork(eqx.Module):
             ∂²KL/∂μ² = 1/σ²,   ∂²KL/∂ρ² = 2 (dσ/dρ)² / σ²,   dσ/dρ = exp(ρ) / (1 + exp(ρ))
 
         Source: Houthooft et al. (2016), section 2.5, where ℓ is the negative log-likelihood of one
-        transition, whose divergence term has no gradient at φ.
-
-        Args:
-            gradient: ∇ℓ with respect to (μ, ρ), in the layout of the network.
-            step_size: λ.
+        transition, whose divergence term has no gradient at φ. The gradient ∇ℓ with respect to
+        (μ, ρ) has the layout of the network.
         """
         mean_gradient, rho_gradient = ravel_pytree(gradient.mean)[0], ravel_pytree(gradient.rho)[0]
         rho = ravel_pytree(self.rho)[0]
@@ -99,13 +94,7 @@ class BayesianNetwork(eqx.Module):
 
 
 def init_bayesian_network(key: Key, sizes: tuple[int, ...], std: float) -> BayesianNetwork:
-    """Return a network with Xavier-uniform means, and one standard deviation for all weights.
-
-    Args:
-        key: random key.
-        sizes: widths of input, hidden layers and output.
-        std: σ of every weight and bias.
-    """
+    """Return a network with Xavier-uniform means, and one standard deviation σ for all weights."""
     mean = init_mlp(key, sizes)
     rho = math.log(math.expm1(std))
     return BayesianNetwork(mean, jax.tree.map(lambda x: jnp.full_like(x, rho), mean))

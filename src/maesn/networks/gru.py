@@ -52,13 +52,7 @@ class GRU(eqx.Module):
         valid: Bool[Array, " time"],
         hidden: Float[Array, " hidden"],
     ) -> tuple[Float[Array, "time hidden"], Float[Array, " hidden"]]:
-        """Return h' of every step, and the last one.
-
-        Args:
-            x: inputs of the steps.
-            valid: where it is false, h does not change.
-            hidden: h before the first step.
-        """
+        """Return h' of every step, and the last one; where `valid` is false, h does not change."""
         # x W belongs into the loop, and gates are computed again for the gradient: to write and
         # read those of all steps takes longer on a CPU.
         advance = jax.checkpoint(GRU.__call__, prevent_cse=False)
@@ -75,13 +69,7 @@ class GRU(eqx.Module):
 
 
 def init_gru(key: Key, inputs: int, hidden: int) -> GRU:
-    """Return a GRU with Xavier-uniform W, orthogonal U, and zero biases.
-
-    Args:
-        key: random key.
-        inputs: components of x.
-        hidden: components of h.
-    """
+    """Return a GRU with Xavier-uniform W, orthogonal U, and zero biases."""
     input_key, recurrent_key = jax.random.split(key)
     # One draw per gate: side by side they would count as one larger matrix, and start smaller.
     xavier, orthogonal = jax.nn.initializers.glorot_uniform(), jax.nn.initializers.orthogonal()

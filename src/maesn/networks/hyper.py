@@ -39,11 +39,6 @@ class HyperMLP(eqx.Module):
 
 
 def hyper_mlp(mlp: MLP, condition_size: int) -> HyperMLP:
-    """Return a hypernetwork at Bias-HyperInit.
-
-    Args:
-        mlp: how the network starts, whatever the condition.
-        condition_size: components of c.
-    """
+    """Return a hypernetwork at Bias-HyperInit: it starts as `mlp`, whatever the condition."""
     slope = jax.tree.map(lambda x: jnp.zeros((condition_size, *x.shape)), mlp)
     return HyperMLP(mlp, slope)

@@ -38,12 +38,7 @@ class MLP(eqx.Module):
 
 
 def init_mlp(key: Key, sizes: tuple[int, ...]) -> MLP:
-    """Return an MLP with Xavier-uniform weights and zero biases, as in the reference.
-
-    Args:
-        key: random key.
-        sizes: widths of input, hidden layers and output.
-    """
+    """Return an MLP with Xavier-uniform weights and zero biases, as in the reference."""
     keys = jax.random.split(key, len(sizes) - 1)
     xavier = jax.nn.initializers.glorot_uniform()
     layers = [

@@ -79,14 +79,7 @@ def init_recurrent_network(
 ) -> RecurrentNetwork:
     """Return a network whose outputs are close to 0.
 
-    Args:
-        key: random key.
-        inputs: components of x.
-        outputs: components of y.
-        encoder_sizes: widths of the encoder's layers.
-        hidden_size: components of h.
-        readout_sizes: widths of the readout's hidden layers.
-        hyper: whether h' makes the weights of the readout, instead of being an input of it.
+    With `hyper`, h' makes the weights of the readout, instead of being an input of it.
     """
     encoder_key, gru_key, readout_key = jax.random.split(key, 3)
     sizes = (inputs, *encoder_sizes)

@@ -52,12 +52,8 @@ class PhysicsError(Exception):
 def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
     """Return the object that holds a field of a model, and the field's name in it.
 
-    Args:
-        model: the model.
-        name: name of a field of `mujoco.MjModel`, or "opt.<field>" for one of its options.
-
-    Raises:
-        ValueError: there is no such field.
+    The name is that of a field of `mujoco.MjModel`, or "opt.<field>" for one of its options;
+    ValueError says that there is none.
     """
     owner, _, field = name.rpartition(".")
     source = model.opt if owner == "opt" else model
@@ -72,11 +68,7 @@ def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
 def check_rows(name: str, values: np.ndarray, whole: np.ndarray, rows: Rows = slice(None)) -> None:
     """Refuse values of a wrong shape, and numbers that MuJoCo would silently replace.
 
-    Args:
-        name: of what the values are.
-        values: one row for each of these simulations.
-        whole: an array like it for all simulations.
-        rows: the simulations.
+    `whole` is an array like the values for all simulations; they are of the simulations `rows`.
     """
     shape = whole[rows].shape
     if values.shape != shape:

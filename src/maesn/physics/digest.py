@@ -14,13 +14,8 @@ _FOLDERS = ("meshdir", "texturedir", "assetdir")
 def model_digest(model: str | os.PathLike[str]) -> str:
     """Return a hexadecimal hash of a model's XML and of all files that it refers to.
 
-    Comments, indentation and the order of attributes do not count.
-
-    Args:
-        model: as for `load_model`.
-
-    Raises:
-        FileNotFoundError: there is neither such a model nor such a file.
+    Comments, indentation and the order of attributes do not count. The model is named as for
+    `load_model`; FileNotFoundError says that it or a file of it is missing.
     """
     found = find_model(model)
     if isinstance(found, str):

@@ -47,18 +47,10 @@ _mujoco: Any = _import_mujoco()
 
 
 def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
-    """Open an OpenGL context, make it current, and load a model into it.
+    """Open an OpenGL context, make it current, and load a compiled model into it.
 
-    Args:
-        model: a compiled model.
-        width: width of the pictures, in pixels.
-        height: height of the pictures, in pixels.
-
-    Returns:
-        The OpenGL context and MuJoCo's `MjrContext`.
-
-    Raises:
-        RenderingError: the system has no library to draw with.
+    Sizes are in pixels. Returns the OpenGL context and MuJoCo's `MjrContext`; RenderingError says
+    that the system has no library to draw with.
     """
     library = _library()
     try:

@@ -1,11 +1,13 @@
-"""What a model calls its readings and actuators, and which controls it lets through."""
+"""What a model calls its readings, fields and actuators, and which controls it lets through."""
 
 import os
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
+from maesn.physics.base import find_field
 from maesn.physics.loading import load_model
 
 _OBJECT = mujoco.mjtObj
@@ -28,11 +30,7 @@ class ModelActuators(NamedTuple):
 
 
 def model_actuators(model: str | os.PathLike[str]) -> ModelActuators:
-    """Return the actuators of a model and the limits that the engine clips their controls to.
-
-    Args:
-        model: as for `load_model`.
-    """
+    """Return the actuators of a model and the limits that the engine clips their controls to."""
     compiled = load_model(model)
     clips = not compiled.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     limited = compiled.actuator_ctrllimited.astype(bool) & clips
@@ -47,16 +45,27 @@ def model_actuators(model: str | os.PathLike[str]) -> ModelActuators:
 def reading_owners(model: str | os.PathLike[str], reading: str, size: int) -> tuple[str, ...]:
     """Return the joint or sensor that each number of a reading belongs to; "" where none does.
 
-    Args:
-        model: as for `load_model`.
-        reading: name of a field of `mujoco.MjData`.
-        size: how many numbers it has.
+    The reading is a field of `mujoco.MjData` of that many numbers.
     """
     if reading not in _LAYOUTS:
         return ("",) * size
     compiled, (kind, start) = load_model(model), _LAYOUTS[reading]
     owner = np.searchsorted(getattr(compiled, start), np.arange(size), side="right") - 1
     return tuple(_name(compiled, kind, int(index)) for index in owner)
+
+
+def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return fields of `mujoco.MjData` at rest; ValueError if there is no such field."""
+    data = mujoco.MjData(model)
+    unknown = [name for name in names if not hasattr(data, name)]
+    if unknown:
+        raise ValueError(f"`readings` must name fields of `mujoco.MjData`, got {unknown[0]!r}")
+    return {name: np.asarray(getattr(data, name)) for name in names}
+
+
+def field_values(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return fields of a model, or "opt.<field>" of its options, as `find_field` finds them."""
+    return {name: np.asarray(getattr(*find_field(model, name))) for name in names}
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:

@@ -36,9 +36,6 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
         model: the name of a model of the library, such as "wheeled", the path of an MJCF or URDF
             file, or the XML itself.
 
-    Returns:
-        The compiled model.
-
     Raises:
         FileNotFoundError: there is neither such a model nor such a file.
         ValueError: MuJoCo cannot compile the XML; the message is one sentence.
@@ -66,15 +63,7 @@ def label(model: str | os.PathLike[str]) -> str:
 
 
 def find_model(model: str | os.PathLike[str]) -> str | Path:
-    """Return the XML text of a model, or the path of a user's file.
-
-    Args:
-        model: as for `load_model`.
-
-    Raises:
-        FileNotFoundError: there is neither such a model nor such a file.
-        EngineError: it is a model of Gymnasium, which is not installed.
-    """
+    """Return the XML text of a model, or the path of a user's file; raises as `load_model`."""
     name = os.fspath(model)
     if _is_xml(name):
         return name

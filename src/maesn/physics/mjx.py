@@ -52,13 +52,12 @@ class MjxEngine:
     """A model on JAX's device. `initial` and `step` are pure functions of one simulation.
 
     Args:
-        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
+        model: as for `load_model`.
         readings: names of the fields of `mujoco.MjData` that `initial` and `step` return.
         frame_skip: physics steps per control step.
 
     Raises:
         EngineError: MJX is not installed.
-        FileNotFoundError: there is no such model.
         ValueError: MJX lacks something that the model or the readings need, or an argument is out
             of range.
     """
@@ -93,17 +92,10 @@ class MjxEngine:
         self._needs_forces = not _BODY_FORCES.isdisjoint(readings)
 
     def dynamics(self, model_fields: ModelFields) -> Dynamics:
-        """Return the parts of the model that depend on the fields, derived ones included.
+        """Return the parts of the model that depend on the fields, `[simulation, ...]`.
 
         Do not call it in a compiled program: MuJoCo itself (`mj_setConst`) computes the derived
         parts on the host, once for each distinct row.
-
-        Args:
-            model_fields: dynamics that differ between simulations, by the names of `mujoco.MjModel`
-                (or "opt.<field>").
-
-        Returns:
-            Arrays with a leading `simulation` axis, to be mapped over with `initial`.
 
         Raises:
             PhysicsError: a value is not finite.
@@ -118,10 +110,7 @@ class MjxEngine:
     ) -> tuple[MjxState, Readings]:
         """Return a simulation in a state, with nothing before it, and the readings of that state.
 
-        Args:
-            qpos: generalised positions.
-            qvel: generalised velocities.
-            dynamics: one simulation's own, of `MjxEngine.dynamics`; empty for the model's.
+        Its dynamics are of `MjxEngine.dynamics`; empty for the model's.
         """
         with _own_rules():
             dtype = self._blank.qpos.dtype
@@ -129,16 +118,9 @@ class MjxEngine:
             return self._derived(data, dynamics)
 
     def step(self, state: MjxState, control: Float[Array, " control"]) -> tuple[MjxState, Readings]:
-        """Advance a simulation by one control step.
+        """Advance a simulation by one control step, and return its readings, none a substep behind.
 
         What blows up is neither reset nor reported: its numbers are simply no longer finite.
-
-        Args:
-            state: the state before the step.
-            control: input of the actuators, constant during the step.
-
-        Returns:
-            The new state and its readings: none of them is a substep behind.
         """
         with _own_rules():
             model = self._variants.model(state.dynamics)
@@ -172,11 +154,7 @@ class MjxEngine:
 
 
 def import_mjx() -> ModuleType:
-    """Return the module `mujoco.mjx`.
-
-    Raises:
-        EngineError: it is not installed.
-    """
+    """Return the module `mujoco.mjx`; EngineError if it is not installed."""
     if importlib.util.find_spec("mujoco.mjx") is None:
         raise EngineError(
             "the engine `mjx` needs the package mujoco-mjx, which is not installed: "

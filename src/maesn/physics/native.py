@@ -46,7 +46,7 @@ class NativeSimulator:
     MuJoCo's warning counters after it.
 
     Args:
-        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
+        model: as for `load_model`.
         num_simulations: how many simulations move together.
         readings: names of the fields of `mujoco.MjData` that `reset` and `step` return.
         frame_skip: physics steps per control step.
@@ -56,7 +56,6 @@ class NativeSimulator:
 
     Raises:
         EngineError: the installed MuJoCo is older than 4.0.
-        FileNotFoundError: there is no such model.
         ValueError: an argument is out of range, or MuJoCo knows no reading of that name.
     """
 
@@ -95,7 +94,7 @@ class NativeSimulator:
         model_fields: ModelFields | None = None,
         simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
-        """Put simulations into a state, as if they had just been made.
+        """Put simulations into a state, as if they had just been made, and return all readings.
 
         Args:
             qpos: generalised positions.
@@ -104,9 +103,6 @@ class NativeSimulator:
                 the model's own values, whatever an earlier reset gave them.
             simulations: indices, ascending, of those that are reset and that the rows belong to;
                 None for all. The others stay where they are.
-
-        Returns:
-            The readings of all simulations.
 
         Raises:
             PhysicsError: a state or a field is not finite.
@@ -125,18 +121,13 @@ class NativeSimulator:
         return self._read()
 
     def step(
-        self,
-        control: Float[np.ndarray, "simulation control"],
-        abandoned: _Mask | None = None,
+        self, control: Float[np.ndarray, "simulation control"], abandoned: _Mask | None = None
     ) -> Readings:
-        """Advance every simulation by one control step.
+        """Advance every simulation by one control step, and return readings, none a substep behind.
 
         Args:
             control: input of the actuators, constant during the step.
             abandoned: simulations whose results are ignored until the next reset: they may blow up.
-
-        Returns:
-            The readings of the new state: none of them is a substep behind.
 
         Raises:
             PhysicsError: a control is not finite, or a simulation that counts has blown up.

@@ -43,15 +43,7 @@ class View(NamedTuple):
 
 
 def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos"]) -> View:
-    """Return the part of the floor that the moving bodies of a model cover in some states.
-
-    Args:
-        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
-        qpos: generalised positions of the states.
-
-    Raises:
-        FileNotFoundError: there is no such model.
-    """
+    """Return the part of the floor that the moving bodies of a model cover in some states."""
     compiled = load_model(model)
     data = mujoco.MjData(compiled)
     moves = compiled.body_weldid[compiled.geom_bodyid] != 0
@@ -70,10 +62,10 @@ class Renderer:
     """Draws states of one model, each with its goal and the way that led there.
 
     Args:
-        model: name of a model of the library, path of an XML file, or XML, as for `load_model`.
+        model: as for `load_model`.
         view: what the camera must see; None for the model's own first camera.
-        width: width of the pictures, in pixels.
-        height: height of the pictures, in pixels.
+        width: of the pictures, in pixels.
+        height: of the pictures, in pixels.
 
     Raises:
         RenderingError: the system has no library to draw with.
@@ -102,14 +94,14 @@ class Renderer:
         *,
         ringed: bool = False,
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture of one state.
+        """Return a picture of one state, in metres on the floor.
 
         Args:
             qpos: generalised positions.
-            goal: its position on the floor in metres.
-            radius: radius of the goal region, in metres.
+            goal: its position.
+            radius: radius of the goal region.
             judged: position of what has to reach the goal; a thin line joins the two.
-            trail: positions on the floor, in metres, that are joined by a line; None for no line.
+            trail: positions that are joined by a line; None for no line.
             ringed: whether a ring marks what has to reach the goal.
         """
         way = np.stack([judged, goal])

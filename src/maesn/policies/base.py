@@ -77,12 +77,8 @@ class AbstractPolicy(eqx.Module):
     ) -> RecurrentState:
         """Return the state that the next episode of the trial starts from: the same, by default.
 
-        A policy that infers its task learns here what its last action led to.
-
-        Args:
-            policy_input: the observation after the last step, the last action and its reward. Where
-                physics blew up in that step, the observation is not finite.
-            recurrent_state: the state after the last step.
+        A policy that infers its task learns here what its last action led to: the input has the
+        observation after the last step, not finite where physics blew up, its action and reward.
         """
         return recurrent_state
 
@@ -95,14 +91,9 @@ class AbstractPolicy(eqx.Module):
     ) -> tuple[AbstractDistribution, RecurrentState]:
         """Return the distributions along episodes, `[episode time]`, and the states after them.
 
-        The same as calling the policy step by step. Recurrent policies override it.
-
-        Args:
-            inputs: inputs of every step, with leading axes `episode time`. They must be finite,
-                invalid steps included.
-            valid: where it is false, the recurrent state does not change.
-            z: z of each episode, constant during it.
-            recurrent_state: state before the first step of each episode.
+        The same as calling the policy step by step, with z constant during an episode. Recurrent
+        policies override it. Inputs must be finite, invalid steps included, which leave the
+        recurrent state as it is.
         """
         # All steps along one axis. With two, XLA would copy activations before it sums a weight's
         # gradient over them, and take half as long again for that product.
@@ -126,9 +117,6 @@ class AbstractPolicySettings(eqx.Module):
 
         Explicit settings stay: a policy of choices, or an `initial_std` of the caller's own, which
         choices do not have. The collector refuses a policy that does not fit its environment.
-
-        Args:
-            kind: kind of actions that the environment needs.
         """
         return self
 
@@ -139,10 +127,5 @@ class AbstractPolicySettings(eqx.Module):
         """Return freshly initialised weights."""
 
     def after_iteration(self, policy: Any, iteration: Int[Array, ""]) -> Any:
-        """Return what becomes of a policy at the end of a meta-iteration, beside what it learned.
-
-        Args:
-            policy: as `init` returns it, improved.
-            iteration: number of meta-iterations that are done, this one included.
-        """
+        """Return what becomes of an improved policy after that many meta-iterations."""
         return policy

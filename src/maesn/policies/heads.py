@@ -52,13 +52,7 @@ class CategoricalHead(AbstractHead):
 
 
 def make_head(action_kind: ActionKind, action_size: int, initial_std: float) -> AbstractHead:
-    """Return the head for a kind of actions.
-
-    Args:
-        action_kind: what the actions are.
-        action_size: components of an action, or number of choices.
-        initial_std: standard deviation of continuous actions at the start.
-    """
+    """Return the head for a kind of actions; continuous ones start with that standard deviation."""
     if action_kind == "discrete":
         return CategoricalHead()
     return GaussianHead(initial_log_std(action_size, initial_std))

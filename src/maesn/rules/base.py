@@ -58,23 +58,14 @@ class AbstractRule(eqx.Module):
 
     @abstractmethod
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return the learner for new tasks.
-
-        Args:
-            trained: the result of meta-training.
-            env: the environment of the new tasks, for its sizes.
+        """Return the learner for new tasks in such an environment.
 
         Raises:
             ValueError: the trained method lacks something that the rule needs.
         """
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Raise a `ValueError` if the rule can do nothing with these numbers of episodes.
-
-        Args:
-            episodes: episodes per task, in all.
-            episodes_per_update: episodes per task and update.
-        """
+        """Raise ValueError if the rule can do nothing with so many episodes of each task."""
 
     @property
     def label(self) -> str:
@@ -87,11 +78,7 @@ class AbstractWrapper(eqx.Module):
 
     @abstractmethod
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
-        """Return the learner with the addition.
-
-        Args:
-            learner: the rule's learner, perhaps with other additions.
-            env: the environment of the new tasks, for its sizes.
+        """Return the learner, perhaps with other additions already, with this addition.
 
         Raises:
             ValueError: the addition does not fit the learner.
@@ -103,9 +90,4 @@ class AbstractWrapper(eqx.Module):
         return type(self).__name__
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Raise a `ValueError` if the addition could not show with these numbers of episodes.
-
-        Args:
-            episodes: episodes per task, in all.
-            episodes_per_update: episodes per task and update.
-        """
+        """Raise ValueError if the addition could not show with these numbers of episodes."""

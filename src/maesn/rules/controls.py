@@ -33,10 +33,9 @@ class StationaryRule(SearchRule):
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> SearchFastLearner:
         learner = super().fast_learner(trained, env)
-        scale = self.settings.length_scale
-        alike = replace(learner.model.unlike(), base=learner.model, length_scale=scale)
-        # Where a task is surely familiar, a search asks a model for nothing that this one lacks.
-        return replace(learner, model=alike)  # type: ignore[arg-type]
+        alike = learner.model.unlike(wider=1.0)
+        alike.prior = learner.model.prior  # where the goal is never near, returns are familiar
+        return replace(learner, model=alike)
 
 
 class RandomRule(AbstractRule):

@@ -38,15 +38,8 @@ def with_weights_of(
 ) -> Any:
     """Return a fresh state with the weights of another one that tasks share.
 
-    Args:
-        other: the state that has learned.
-        fresh: the state that gets its weights.
-        larger: the structure of a state for one more task, whose other shapes belong to tasks.
-        learner: of `fresh`.
-        source: what messages call `other`.
-
-    Raises:
-        RunError: the weights do not fit.
+    `larger` is the structure of a state for one more task: what differs in shape belongs to tasks.
+    Messages call the other state by its source; `RunError` if the weights do not fit.
     """
     learned, values, shapes = map(named_leaves, (other, fresh, larger))
     for name in names_of(learner.weights(fresh), fresh):

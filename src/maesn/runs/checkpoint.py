@@ -50,8 +50,7 @@ def named_leaves(tree: Any) -> dict[str, Any]:
 def names_of(part: Any, tree: Any) -> set[str]:
     """Return the names of those leaves of a tree that are also leaves of `part`.
 
-    Raises:
-        RunError: `part` has other leaves, which could not be found again.
+    `RunError` says that it has other leaves, which could not be found again.
     """
     held = set(map(id, jax.tree.leaves(part)))
     names = {name for name, leaf in named_leaves(tree).items() if id(leaf) in held}
@@ -89,11 +88,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 def save_state(path: Path, state: Any, replay: Any, metadata: Mapping[str, str]) -> Path:
     """Write a state as a checkpoint, and beside it its replay, of which only the newest stays.
 
-    Args:
-        path: path of the checkpoint.
-        state: the state.
-        replay: the part of it that only more training needs; None if there is none.
-        metadata: of both files.
+    The replay is the part that only more training needs, or None; both files get the metadata.
     """
     arrays, file = named_leaves(state), _replay_file(path)
     held = {name: arrays.pop(name) for name in names_of(replay, state)}

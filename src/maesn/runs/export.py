@@ -166,12 +166,7 @@ def _control_period(env: AnyEnv, changed: set[str], stated: float | None) -> flo
 
 
 def exported_facts(path: str | os.PathLike[str]) -> list[tuple[str, str]]:
-    """Return the table of an exported file that a person should check.
-
-    Raises:
-        OSError: the file cannot be opened.
-        ValueError: it is no such file.
-    """
+    """Return the table of an exported file that a person should check."""
     if is_onnx(path):
         return read_facts(path)
     return facts(read_snapshot(path).exported)

@@ -56,11 +56,7 @@ def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
 
 
 def read_facts(path: str | os.PathLike[str]) -> list[tuple[str, str]]:
-    """Return the table for people that an ONNX file holds.
-
-    Raises:
-        OSError: the file cannot be opened.
-    """
+    """Return the table for people that an ONNX file holds; OSError if it cannot be opened."""
     properties = {one.key: one.value for one in _onnx().load(os.fspath(path)).metadata_props}
     return [(what, value) for what, value in json.loads(properties[_FACTS])]
 

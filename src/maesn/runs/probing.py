@@ -68,11 +68,8 @@ def probe_sensors(env: AnyEnv, task: Any) -> Sensors:
     """Return what each component of an observation is, and what it is clipped to.
 
     A component that is one number of the readings, scaled, shifted or clipped, is named after it.
-    Any other is named after the function that computes it.
-
-    Args:
-        env: the environment.
-        task: one of its tasks; None leaves the readings of an environment in JAX without names.
+    Any other is named after the function that computes it. Without one of its tasks, an environment
+    in JAX has readings without names.
     """
     size = env.observation_size
     far = np.full(size, np.inf)

@@ -16,13 +16,7 @@ import numpy as np
 from maesn import storage
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
-from maesn.envs.sources import (
-    find_tasks,
-    imported,
-    resolve_family,
-    save_tasks,
-    warn_of_known_tests,
-)
+from maesn.envs.sources import find_tasks, imported, resolve_family, save_tasks, warn_of_known_tests
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.runs import checkpoint, sources
 from maesn.runs.beginning import check_replay, drawn_state, problem_of, with_weights_of

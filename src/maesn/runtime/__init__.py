@@ -21,8 +21,8 @@ from maesn.runtime.latent import Latent as Latent
 from maesn.runtime.latent import LearningRule as LearningRule
 from maesn.runtime.learning import AdaptationInfo as AdaptationInfo
 from maesn.runtime.policy import GaussianPolicy as GaussianPolicy
-from maesn.runtime.prior_moments import Moments as Moments
-from maesn.runtime.prior_moments import moments as moments
+from maesn.runtime.return_model import Moments as Moments
+from maesn.runtime.return_model import moments as moments
 from maesn.runtime.safeguards import Safeguards as Safeguards
 from maesn.runtime.sensors import Sensors as Sensors
 from maesn.runtime.state import ExplorerState as ExplorerState

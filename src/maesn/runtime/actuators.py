@@ -33,20 +33,12 @@ class Actuators:
         return clipped(self.offset + self.scale * action, self.lower, self.upper)
 
     def normalized(self, control: FloatArray) -> FloatArray:
-        """Return a control on the scale on which the lower limit is -1 and the upper one 1.
-
-        Raises:
-            ValueError: an actuator lacks a limit.
-        """
+        """Return a control on the scale on which the lower limit is -1 and the upper one 1."""
         self.refuse_unlimited()
         return (control - (self.lower + self.upper) / 2) / ((self.upper - self.lower) / 2)
 
     def refuse_unlimited(self) -> None:
-        """Refuse actuators without two limits between which a control can be normalised.
-
-        Raises:
-            ValueError: an actuator lacks a limit.
-        """
+        """Raise ValueError for an actuator without two limits."""
         width = self.upper - self.lower
         lacking = ~((width > 0) & np.isfinite(width))
         if lacking.any():
@@ -58,7 +50,7 @@ class Actuators:
             )
 
     def narrowed(self, lower: FloatArray, upper: FloatArray) -> "Actuators":
-        """Return the same map with a range that lies within [lower, upper] as well.
+        """Return the same map with a range within [lower, upper] as well.
 
         Raises:
             ValueError: no control is left.

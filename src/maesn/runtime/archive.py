@@ -59,10 +59,6 @@ Kind = TypeVar("Kind")
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file so that at any moment, power cuts included, it is the old one or the new one.
 
-    Args:
-        path: path of the file; an existing one is replaced.
-        content: content of the file.
-
     Raises:
         OSError: the file cannot be written; one that existed is as it was.
     """
@@ -97,11 +93,7 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[np.g
 
 
 def read_arrays(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Arrays:
-    """Return the arrays of an `.npz` file by name. Nothing in it is executed.
-
-    Args:
-        path: path of the file.
-        largest: bytes that all arrays of the file may have in memory.
+    """Return the arrays of an `.npz` file by name, of at most `largest` bytes in memory.
 
     Raises:
         OSError: the file cannot be opened.
@@ -118,11 +110,7 @@ def read_arrays(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Ar
 
 
 def refuse_special(path: str | os.PathLike[str]) -> None:
-    """Refuse pipes and devices: reading them may wait for ever, or never end.
-
-    Raises:
-        ValueError: it is one.
-    """
+    """Raise ValueError for a pipe or a device: reading it may wait for ever, or never end."""
     with contextlib.suppress(FileNotFoundError):
         mode = Path(path).stat().st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
@@ -130,11 +118,7 @@ def refuse_special(path: str | os.PathLike[str]) -> None:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return what a JSON text says.
-
-    Raises:
-        ValueError: it is no JSON, or nested too deeply.
-    """
+    """Return what a JSON text says; raises ValueError if it is no JSON, or nested too deeply."""
     too_deep = "it is nested too deeply"
     try:
         document = json.loads(text)
@@ -158,16 +142,7 @@ def write_archive(
     arrays: Mapping[str, NDArray[np.generic]],
     metadata: Mapping[str, Any],
 ) -> None:
-    """Write the file of a policy or of an explorer; see `write_whole`.
-
-    Args:
-        path: path of the file; an existing one is replaced.
-        arrays: arrays of numbers by name.
-        metadata: what JSON can hold.
-
-    Raises:
-        OSError: the file cannot be written; one that existed is as it was.
-    """
+    """Write the file of a policy or of an explorer; see `write_whole`. `metadata` is for JSON."""
     head = {"format": FORMAT, "version": VERSION, "arrays": sorted(arrays)}
     text = json.dumps({**head, **metadata})
     write_arrays(path, {_METADATA: np.array(text), **arrays})
@@ -197,16 +172,7 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
 
 
 def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
-    """Return one entry of the metadata.
-
-    Args:
-        metadata: metadata of a file, or a mapping inside it.
-        name: name of the entry.
-        kind: type that it must have.
-
-    Raises:
-        ValueError: it is missing or of another type.
-    """
+    """Return one entry of the metadata; raises ValueError if it is missing or of another type."""
     value = metadata.get(name)
     if kind is float and type(value) is int and abs(value) < 2**53:
         return kind(value)  # type: ignore[call-arg]

@@ -16,18 +16,10 @@ def float64(values: Any) -> FloatArray:
 
 
 def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> FloatArray:
-    """Return a copy of `values` in double precision, or refuse it.
+    """Return a copy of `values` in double precision; raises ValueError for NaN or another size.
 
     A copy, because robots reuse their buffers: `data.qpos` of a simulator is overwritten in place.
-
-    Args:
-        name: name of the argument, for the message.
-        values: what the caller gave.
-        size: the number of components that it must have.
-        reason: why it must have that size, for the message.
-
-    Raises:
-        ValueError: not `size` finite numbers.
+    Messages use the name of the argument, and the reason for its size.
     """
     try:
         vector = np.array(values, dtype=np.float64)
@@ -47,22 +39,24 @@ def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> Float
     return vector
 
 
-def take(
-    arrays: Mapping[str, NDArray[np.generic]],
-    name: str,
-    *shape: int,
-    allow_infinite: bool = False,
-) -> FloatArray:
-    """Return one array of a file in double precision, or say what is wrong with it.
+def named(prefix: str, value: object, *fields: str) -> Arrays:
+    """Return some fields of a value under the names that they have in a file."""
+    return {f"{prefix}.{field}": getattr(value, field) for field in fields}
 
-    Args:
-        arrays: the arrays of the file by name.
-        name: name of the array.
-        shape: sizes that it must have; -1 for any.
-        allow_infinite: whether infinities are meant, as in limits that do not exist.
+
+def taken(arrays: Arrays, prefix: str, size: int, *fields: str, **options: bool) -> dict[str, Any]:
+    """Return vectors of a file, `[size]`, as the arguments of what they are fields of."""
+    return {field: take(arrays, f"{prefix}.{field}", size, **options) for field in fields}
+
+
+def take(
+    arrays: Mapping[str, NDArray[np.generic]], name: str, *shape: int, allow_infinite: bool = False
+) -> FloatArray:
+    """Return one array of a file in double precision; a size of its shape that is -1 may be any.
 
     Raises:
-        ValueError: it is missing, of another shape, or not a number.
+        ValueError: it is missing, of another shape, not a number, or infinite where that is not
+            allowed, as in limits that do not exist.
     """
     if name not in arrays:
         raise ValueError(f"array `{name}` is missing from the file; write it again.")

@@ -19,27 +19,15 @@ STANDARDIZE_EPSILON = 1e-8
 
 
 def episode_advantages(
-    observations: Sequence[FloatArray],
-    rewards: Sequence[FloatArray],
-    discount: float,
-    ridge: float,
+    observations: Sequence[FloatArray], rewards: Sequence[FloatArray], discount: float, ridge: float
 ) -> FloatArray:
-    """Return the standardised advantage of the draw of z in every episode.
+    """Return the standardised advantage of the draw of z in every episode, `[episode]`.
 
         A_e = (G_{e,0} - V(o_{e,0}) - mean) / (std + 1e-8),  e in [1, E]
 
     with V fitted by ridge regression of the discounted returns on `features`, over all steps of
     all episodes; mean and std run over the E episodes. Where all episodes have the same rewards
-    there is nothing to learn, and A is 0.
-
-    Args:
-        observations: o_t of each episode, t in [0, T_e - 1], `[time, observation]` each.
-        rewards: r_t of each episode, `[time]` each.
-        discount: gamma in [0, 1].
-        ridge: weight of the squared coefficients.
-
-    Returns:
-        A, `[episode]`.
+    there is nothing to learn, and A is 0. Observations are `[time, observation]`, rewards `[time]`.
     """
     if not _rewards_differ(rewards):
         return np.zeros(len(rewards))
@@ -68,11 +56,7 @@ def discounted_returns(reward: FloatArray, discount: float) -> FloatArray:
 
 
 def features(observation: FloatArray) -> FloatArray:
-    """Return [o, o^2, t, t^2, t^3, 1] with o clipped and t in hundreds of steps.
-
-    Args:
-        observation: observations of one episode, `[time, observation]`.
-    """
+    """Return [o, o^2, t, t^2, t^3, 1] of one episode, with o clipped and t in hundreds of steps."""
     clipped = np.clip(observation, -FEATURE_CLIP, FEATURE_CLIP)
     time = np.arange(observation.shape[0]) / FEATURE_TIME_SCALE
     powers = np.stack([time, time**2, time**3, np.ones_like(time)], axis=-1)
@@ -80,15 +64,10 @@ def features(observation: FloatArray) -> FloatArray:
 
 
 def ridge_regression(rows: FloatArray, target: FloatArray, ridge: float) -> FloatArray:
-    """Return argmin_w sum_n (y_n - x_n w)^2 + ridge |w|^2.
+    """Return argmin_w sum_n (y_n - x_n w)^2 + ridge |w|^2, with rows x_n `[row, feature]`.
 
     Solved as the least squares problem [X; sqrt(ridge) I] w = [y; 0]. That avoids X'X, whose
     condition number is the square of that of X.
-
-    Args:
-        rows: x_n, `[row, feature]`.
-        target: y_n, `[row]`.
-        ridge: positive, not scaled with the number of rows.
     """
     size = rows.shape[1]
     matrix = np.concatenate([rows, np.sqrt(ridge) * np.eye(size)])

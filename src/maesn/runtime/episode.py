@@ -1,11 +1,10 @@
 """Episodes as a robot records them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maesn.runtime.arrays import Arrays, FloatArray, take
 
@@ -13,6 +12,8 @@ Purpose: TypeAlias = Literal["explore", "deploy"]
 """`explore`: played to be learned from. `deploy`: played with z at the latent's mean, and judged
 only."""
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
+
+_STEPS = ("observations", "actions", "controls")
 
 LARGEST_REWARD = 1e100
 """The squares of larger ones, summed over many steps, are beyond double precision."""
@@ -88,23 +89,16 @@ class RunningEpisode:
 
     def arrays(self, observation_size: int, action_size: int) -> Arrays:
         """Return the arrays to save in a file."""
-        shape = (self.num_steps, action_size)
-        return {
-            "running.latent": self.latent,
-            "running.observations": np.reshape(
-                self.observations, (self.num_steps, observation_size)
-            ).astype(np.float64),
-            "running.actions": np.reshape(self.actions, shape).astype(np.float64),
-            "running.controls": np.reshape(self.controls, shape).astype(np.float64),
+        sizes = (observation_size, action_size, action_size)
+        steps = {
+            f"running.{name}": np.reshape(getattr(self, name), (self.num_steps, size))
+            for name, size in zip(_STEPS, sizes, strict=True)
         }
+        return {"running.latent": self.latent, **steps}
 
     @staticmethod
     def from_arrays(
-        arrays: Mapping[str, NDArray[np.generic]],
-        observation_size: int,
-        action_size: int,
-        latent_size: int,
-        purpose: Purpose,
+        arrays: Arrays, observation_size: int, action_size: int, latent_size: int, purpose: Purpose
     ) -> "RunningEpisode":
         """Rebuild a saved running episode; raises ValueError if its arrays do not fit."""
         observations = take(arrays, "running.observations", -1, observation_size)
@@ -122,21 +116,19 @@ def episodes_to_arrays(episodes: Sequence[Episode]) -> Arrays:
     """Return the arrays to save of a batch: episodes of any lengths, concatenated in time."""
     if not episodes:
         return {}
+    joined = {
+        f"episodes.{name}": np.concatenate([getattr(one, name) for one in episodes])
+        for name in (*_STEPS, "rewards")
+    }
     return {
         "episodes.length": np.asarray([len(episode.rewards) for episode in episodes]),
         "episodes.latents": np.stack([episode.latent for episode in episodes]),
-        "episodes.observations": np.concatenate([e.observations for e in episodes]),
-        "episodes.actions": np.concatenate([e.actions for e in episodes]),
-        "episodes.controls": np.concatenate([e.controls for e in episodes]),
-        "episodes.rewards": np.concatenate([e.rewards for e in episodes]),
+        **joined,
     }
 
 
 def episodes_from_arrays(
-    arrays: Mapping[str, NDArray[np.generic]],
-    observation_size: int,
-    action_size: int,
-    latent_size: int,
+    arrays: Arrays, observation_size: int, action_size: int, latent_size: int
 ) -> tuple[Episode, ...]:
     """Rebuild a saved batch; raises ValueError if its arrays do not fit."""
     if "episodes.length" not in arrays:
@@ -145,14 +137,13 @@ def episodes_from_arrays(
     steps = len(take(arrays, "episodes.rewards", -1))
     if not (stated >= 1).all() or stated.sum() != steps:
         raise ValueError(f"array `episodes.length` must sum up to {steps} steps, got {stated}.")
-    length = stated.astype(np.int64)
-    latents = take(arrays, "episodes.latents", length.shape[0], latent_size)
+    latents = take(arrays, "episodes.latents", len(stated), latent_size)
     joined = (
         take(arrays, "episodes.observations", steps, observation_size),
         take(arrays, "episodes.actions", steps, action_size),
         take(arrays, "episodes.controls", steps, action_size),
         take(arrays, "episodes.rewards", steps),
     )
-    ends = np.cumsum(length)[:-1]
+    ends = np.cumsum(stated.astype(np.int64))[:-1]
     parts = zip(latents, *(np.split(array, ends) for array in joined), strict=True)
     return tuple(Episode(*part) for part in parts)

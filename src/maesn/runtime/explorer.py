@@ -61,9 +61,7 @@ class Explorer:
 
     @staticmethod
     def load(
-        path: str | os.PathLike[str],
-        seed: int | None = None,
-        safeguards: Safeguards | None = None,
+        path: str | os.PathLike[str], seed: int | None = None, safeguards: Safeguards | None = None
     ) -> "Explorer":
         """Return the explorer of a file.
 
@@ -92,11 +90,8 @@ class Explorer:
         """Write everything to one file, in the middle of a batch or even of an episode.
 
         The file holds the policy, the latent, all episodes since the last `adapt`, the safeguards
-        and the random state, so `load` goes on as if nothing had happened. It is written to a
-        temporary name first: whatever happens, `path` holds the old or the new file.
-
-        Raises:
-            OSError: the file cannot be written.
+        and the random state, so `load` goes on as if nothing had happened. Whatever happens, `path`
+        holds the old or the new file; OSError says that it cannot be written.
         """
         random_state = self._generator.bit_generator.state
         write_snapshot(path, Snapshot(self.exported, self._state, self.safeguards, random_state))
@@ -238,13 +233,10 @@ class Explorer:
         return self._limiter.actuators.control(checked)
 
     def end_episode(self, rewards: ArrayLike) -> Episode:
-        """Finish the running episode, and keep it for `adapt` if it explored.
+        """Finish the running episode, keep it for `adapt` if it explored, and return it.
 
         Args:
             rewards: r_t of every step that was taken, `[time]`.
-
-        Returns:
-            The episode as recorded.
 
         Raises:
             RuntimeError: no episode is running, or it has no step yet.
@@ -264,7 +256,7 @@ class Explorer:
         return episode
 
     def discard(self) -> None:
-        """Throw the running episode away; the finished ones are kept.
+        """Throw the running episode away, and keep the finished ones.
 
         Raises:
             RuntimeError: no episode is running.

@@ -4,19 +4,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from maesn.runtime.actuators import Actuators
 from maesn.runtime.archive import entry
-from maesn.runtime.arrays import Arrays, take
+from maesn.runtime.arrays import Arrays, named, take, taken
 from maesn.runtime.episode import PURPOSES, Purpose
 from maesn.runtime.exported_search import ExportedSearch
-from maesn.runtime.latent import Latent, LearningRule
+from maesn.runtime.latent import LATENT, Latent, LearningRule
 from maesn.runtime.policy import GaussianPolicy
 from maesn.runtime.sensors import Sensors
 
 _SEARCH = "search"
+# Fields that a file holds under their own names.
+_MAP, _LIMITS, _STEPS = ("offset", "scale"), ("lower", "upper"), ("mean_step", "log_std_step")
+_NUMBERS: dict[str, type] = {"full_steps": int, "factor": float, "discount": float, "ridge": float}
 
 
 class ExportedLearner(NamedTuple):
@@ -79,20 +79,12 @@ class ExportedPolicy:
 
     def arrays(self) -> Arrays:
         """Return the arrays to save in a file."""
-        return {
-            **self.policy.arrays(),
-            "actuators.offset": self.actuators.offset,
-            "actuators.scale": self.actuators.scale,
-            "actuators.lower": self.actuators.lower,
-            "actuators.upper": self.actuators.upper,
-            "sensors.lower": self.sensors.lower,
-            "sensors.upper": self.sensors.upper,
-            "start.mean": self.start.mean,
-            "start.log_std": self.start.log_std,
-            "rule.mean_step": self.rule.mean_step,
-            "rule.log_std_step": self.rule.log_std_step,
-            **({} if self.search is None else self.search.arrays()),
-        }
+        arrays = self.policy.arrays()
+        arrays |= named("actuators", self.actuators, *_MAP, *_LIMITS)
+        arrays |= named("sensors", self.sensors, *_LIMITS)
+        arrays |= named("start", self.start, *LATENT)
+        arrays |= named("rule", self.rule, *_STEPS)
+        return arrays if self.search is None else arrays | self.search.arrays()
 
     def metadata(self) -> dict[str, Any]:
         """Return the other values to save in a file."""
@@ -104,42 +96,36 @@ class ExportedPolicy:
             "actuators": list(self.actuators.names),
             "is_noisy": dict(self.is_noisy),
             "start_update": self.start_update,
-            "rule": {
-                "full_steps": self.rule.full_steps,
-                "factor": self.rule.factor,
-                "discount": self.rule.discount,
-                "ridge": self.rule.ridge,
-            },
+            "rule": {name: getattr(self.rule, name) for name in _NUMBERS},
             **({} if self.search is None else {_SEARCH: self.search.metadata()}),
         }
 
     @staticmethod
-    def from_archive(
-        arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any]
-    ) -> "ExportedPolicy":
+    def from_archive(arrays: Arrays, metadata: Mapping[str, Any]) -> "ExportedPolicy":
         """Rebuild a saved policy; raises ValueError if a part is missing or does not fit."""
-        start_mean = take(arrays, "start.mean", -1)
-        size = start_mean.shape[0]
-        sizes = {name: entry(metadata, name, int) for name in ("observation_size", "num_layers")}
-        for name, number in sizes.items():
-            if number < 1:
-                raise ValueError(f"entry `{name}` must be at least 1, got {number}.")
-        policy = GaussianPolicy.from_arrays(
-            arrays, sizes["observation_size"] + size, sizes["num_layers"]
-        )
-        rule = entry(metadata, "rule", dict)
+        size = take(arrays, "start.mean", -1).shape[0]
+        inputs, layers = (entry(metadata, name, int) for name in ("observation_size", "num_layers"))
+        if min(inputs, layers) < 1:
+            raise ValueError(
+                f"entries `observation_size` {inputs} and `num_layers` {layers} must be at least 1."
+            )
+        policy = GaussianPolicy.from_arrays(arrays, inputs + size, layers)
+        outputs, rule = policy.action_size, entry(metadata, "rule", dict)
         return ExportedPolicy(
-            policy=policy,
-            actuators=_actuators(arrays, metadata, policy.action_size),
-            sensors=_sensors(arrays, metadata, sizes["observation_size"]),
-            start=Latent(start_mean, take(arrays, "start.log_std", size)),
-            rule=LearningRule(
-                mean_step=take(arrays, "rule.mean_step", size),
-                log_std_step=take(arrays, "rule.log_std_step", size),
-                full_steps=entry(rule, "full_steps", int),
-                factor=entry(rule, "factor", float),
-                discount=entry(rule, "discount", float),
-                ridge=entry(rule, "ridge", float),
+            policy,
+            Actuators(
+                **taken(arrays, "actuators", outputs, *_MAP),
+                **taken(arrays, "actuators", outputs, *_LIMITS, allow_infinite=True),
+                names=_names(metadata, "actuators", outputs),
+            ),
+            Sensors(
+                **taken(arrays, "sensors", inputs, *_LIMITS, allow_infinite=True),
+                names=_names(metadata, "sensors", inputs),
+            ),
+            Latent(**taken(arrays, "start", size, *LATENT)),
+            LearningRule(
+                **taken(arrays, "rule", size, *_STEPS),
+                **{name: entry(rule, name, kind) for name, kind in _NUMBERS.items()},
             ),
             description=entry(metadata, "description", dict),
             start_update=entry(metadata, "start_update", int),
@@ -159,31 +145,7 @@ def _names(metadata: Mapping[str, Any], kind: str, size: int) -> tuple[str, ...]
     return tuple(names)
 
 
-def _sensors(
-    arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], size: int
-) -> Sensors:
-    return Sensors(
-        _names(metadata, "sensors", size),
-        lower=take(arrays, "sensors.lower", size, allow_infinite=True),
-        upper=take(arrays, "sensors.upper", size, allow_infinite=True),
-    )
-
-
-def _actuators(
-    arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], size: int
-) -> Actuators:
-    return Actuators(
-        offset=take(arrays, "actuators.offset", size),
-        scale=take(arrays, "actuators.scale", size),
-        lower=take(arrays, "actuators.lower", size, allow_infinite=True),
-        upper=take(arrays, "actuators.upper", size, allow_infinite=True),
-        names=_names(metadata, "actuators", size),
-    )
-
-
-def _search(
-    arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], size: int
-) -> ExportedSearch | None:
+def _search(arrays: Arrays, metadata: Mapping[str, Any], size: int) -> ExportedSearch | None:
     if _SEARCH not in metadata:
         return None
     return ExportedSearch.from_archive(arrays, entry(metadata, _SEARCH, dict), size)

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maesn.runtime.archive import entry
 from maesn.runtime.arrays import Arrays, take
@@ -54,7 +53,7 @@ class ExportedSearch:
 
     @staticmethod
     def from_archive(
-        arrays: Mapping[str, NDArray[np.generic]], metadata: Mapping[str, Any], latent_size: int
+        arrays: Arrays, metadata: Mapping[str, Any], latent_size: int
     ) -> "ExportedSearch":
         """Rebuild a saved search; raises ValueError if a part is missing or does not fit."""
         latents = take(arrays, "prior.latents", -1, latent_size)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.posterior import Posterior, Reading, TaskModel, normalized
+from maesn.runtime.posterior import Posterior, Reading, normalized
 from maesn.runtime.return_model import ReturnModel
 
 # Components with a smaller share of the largest weight move no quantile that is shown.
@@ -32,16 +32,14 @@ class Hypotheses:
         probabilities: of each, `[hypothesis]`.
     """
 
-    models: tuple[TaskModel, ...]
+    models: tuple[ReturnModel, ...]
     probabilities: tuple[float, ...]
 
     @staticmethod
     def around(model: ReturnModel, familiar: float) -> "Hypotheses":
-        """Return all three hypotheses, or the first alone if it is certain.
+        """Return all three hypotheses; the first alone if it is certain.
 
-        Args:
-            model: the model of a task like a training task.
-            familiar: its probability; the other two share the rest.
+        `familiar` is the probability of a task like a training task; the other two share the rest.
         """
         if familiar == 1.0:
             return Hypotheses((model,), (1.0,))

@@ -9,6 +9,9 @@ from maesn.runtime.arrays import FloatArray
 LARGEST_LATENT = 1e100
 """The squares of larger numbers, summed over many draws, are beyond double precision."""
 
+LATENT = ("mean", "log_std")
+"""The fields of a latent, as files name them."""
+
 
 @dataclass(frozen=True)
 class Latent:
@@ -95,13 +98,8 @@ class LearningRule:
             mean' = mean + scale * mean_step * g_mean,  and likewise for log_std
 
         elementwise per component of the latent (equations (4) and (5), with the gradient of
-        section "Using the Latent Spaces for Exploration").
-
-        Args:
-            latent: what the episodes were played with.
-            drawn: z_e, `[episode, latent]`.
-            advantage: A_e, standardised, `[episode]`.
-            update: number of this update, from 0.
+        section "Using the Latent Spaces for Exploration"). z_e is `[episode, latent]`, the
+        standardised A_e `[episode]`; updates count from 0.
         """
         deviation = (drawn - latent.mean) / latent.std
         slope_mean = (advantage @ deviation) / (advantage.shape[0] * latent.std)

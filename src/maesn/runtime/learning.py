@@ -33,14 +33,8 @@ def learned(
 ) -> tuple[ExplorerState, AdaptationInfo]:
     """Return the state after an update from its episodes, which it no longer holds.
 
-    Args:
-        state: the state, with the episodes to learn from, and none running.
-        rule: the policy-gradient update of the latent.
-        safeguards: limits of the latent's norm and of the drop in return.
-        horizon: steps of a full episode, for a search.
-
-    Raises:
-        RuntimeError: too few episodes, or the update is not finite.
+    A search needs the steps of a full episode. RuntimeError says that there are too few episodes,
+    or that the update is not finite.
     """
     if state.search is not None:
         return _after_search(state, state.search, horizon)

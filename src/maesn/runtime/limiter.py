@@ -10,12 +10,7 @@ from maesn.runtime.safeguards import Safeguards
 
 
 class Limiter:
-    """The actuators' map, narrowed and slowed down by the safeguards.
-
-    Args:
-        actuators: the map that the policy was trained with.
-        safeguards: limits on top of it.
-    """
+    """The actuators' map of the training, narrowed and slowed down by safeguards."""
 
     def __init__(self, actuators: Actuators, safeguards: Safeguards) -> None:
         size = actuators.scale.shape[0]
@@ -32,12 +27,7 @@ class Limiter:
             )
 
     def control(self, action: FloatArray, before: FloatArray | None) -> FloatArray:
-        """Return what to execute for an action, `[action]`.
-
-        Args:
-            action: the policy's action.
-            before: the control of the step before; None at the first step of an episode.
-        """
+        """Return what to execute for an action, `[action]`; no control is before the first step."""
         start = self._rest if before is None else before
         control = self.actuators.control(action)
         slow = clipped(control, start - self._max_change, start + self._max_change)

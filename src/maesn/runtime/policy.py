@@ -1,6 +1,5 @@
 """The feed-forward Gaussian policy, one observation at a time."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -48,8 +47,7 @@ class GaussianPolicy:
         first, bias = self.weights[0], self.biases[0]
         shifted = bias + latent.astype(np.float32) @ first[split:]
         return ConditionedPolicy(
-            (np.ascontiguousarray(first[:split]), *self.weights[1:]),
-            (shifted, *self.biases[1:]),
+            (np.ascontiguousarray(first[:split]), *self.weights[1:]), (shifted, *self.biases[1:])
         )
 
     def arrays(self) -> Arrays:
@@ -61,18 +59,11 @@ class GaussianPolicy:
         return arrays
 
     @staticmethod
-    def from_arrays(
-        arrays: Mapping[str, NDArray[np.generic]], input_size: int, num_layers: int
-    ) -> "GaussianPolicy":
-        """Rebuild a saved policy.
+    def from_arrays(arrays: Arrays, input_size: int, num_layers: int) -> "GaussianPolicy":
+        """Rebuild a saved policy; raises ValueError if its arrays do not fit.
 
-        Args:
-            arrays: the arrays of the file.
-            input_size: components of an observation and a latent together.
-            num_layers: number of hidden layers plus 1, for the output layer.
-
-        Raises:
-            ValueError: an array is missing or does not fit the others.
+        `input_size` counts the components of an observation and a latent together; `num_layers` the
+        hidden layers and the output layer.
         """
         weights: list[Weights] = []
         biases: list[Weights] = []

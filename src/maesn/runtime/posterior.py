@@ -1,13 +1,13 @@
 """The posterior over the returns of latents in a new task, under one model of them."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.return_model import ReturnModel
 
 # A return is an outlier if it is further from every task's prediction than this, in standard
 # deviations. Its noise is then raised until it is exactly this far from the nearest prediction.
@@ -16,28 +16,6 @@ OUTLIER = 4.0
 KNOWN = 1e-9
 # Standard deviation where nothing varies, as a share of the largest error: squares stay finite.
 _LEAST_STD = 1e-150
-
-
-@runtime_checkable
-class TaskModel(Protocol):
-    """A mixture of Gaussian processes that share one covariance; see `ReturnModel`."""
-
-    @property
-    def prior(self) -> ReturnPrior:
-        """What is known of the noise and of c."""
-
-    @property
-    def num_tasks(self) -> int:
-        """Number of components."""
-
-    def task_means(self, latents: FloatArray) -> FloatArray:
-        """Return the mean of f in each component, `[task, point]`."""
-
-    def noise(self, latents: FloatArray) -> FloatArray:
-        """Return the variance of one episode's return, `[point]`."""
-
-    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return the covariance of f in each component, `[first, second]`."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +83,7 @@ class Posterior:
     innovations: FloatArray
 
     @staticmethod
-    def of_prior(model: TaskModel, points: FloatArray) -> "Posterior":
+    def of_prior(model: ReturnModel, points: FloatArray) -> "Posterior":
         """Return the distribution at some latents before any reading."""
         variance = model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points))
         noise = model.noise(points)
@@ -153,7 +131,7 @@ class Posterior:
         known[played] = self.is_exact[played]
         return known
 
-    def predicted(self, model: TaskModel, point: int, length: float = 1.0) -> Prediction:
+    def predicted(self, model: ReturnModel, point: int, length: float = 1.0) -> Prediction:
         """Return what is predicted of an episode's return, given the readings so far."""
         z = self.points[point : point + 1]
         reading_row = self.rows[:, point] + length * self.offset_rows
@@ -163,7 +141,7 @@ class Posterior:
         mean = self.task_mean[:, point] + length * self.task_offset
         return Prediction(mean, float(np.sqrt(max(variance, 0.0))), covariance, offset)
 
-    def conditioned(self, model: TaskModel, reading: Reading) -> "Posterior":
+    def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         expected, std, covariance, offset = self.predicted(model, reading.point, reading.length)
         error = reading.episode_return - expected
@@ -185,7 +163,7 @@ class Posterior:
             innovations=np.vstack([self.innovations, innovation]),
         )
 
-    def extended(self, model: TaskModel, more: FloatArray) -> "Posterior":
+    def extended(self, model: ReturnModel, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""
         covariance = model.covariance(self.points[[one.point for one in self.readings]], more)
         rows = np.zeros((len(self.readings), len(more)))

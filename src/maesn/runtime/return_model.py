@@ -13,6 +13,7 @@ never comes near the goal, and l the length of the episode as a share of the hor
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -105,6 +106,12 @@ class ReturnModel:
         jumps: whether returns may jump from a latent to the next, where one comes near the goal and
             the other does not. Their variance, as found in the archive (`roughness`), is then added
             to k and to R for each latent by itself.
+
+    Attributes:
+        num_tasks: components of the mixture, one for each training task.
+        archive: the latents that a search chooses from, `[latent, z]`.
+        residual: variance of R.
+        reach: length scale of R.
     """
 
     def __init__(
@@ -112,7 +119,8 @@ class ReturnModel:
     ) -> None:
         self.prior = prior
         self.archive = prior.latents
-        self._length_scale = length_scale
+        self.num_tasks = len(prior.excess)
+        self._length_scale = self.reach = length_scale
         self._average = float(prior.excess.mean())
         centred = prior.excess - self._average
         spread = float((centred**2).mean())
@@ -125,17 +133,13 @@ class ReturnModel:
             signal * np.linalg.solve(gram, centred.T) if spread else np.zeros_like(centred.T)
         )
         self._variance = float(self.task_means(self.archive).var(axis=0, ddof=1).mean())
-        self._residual = residual * self._variance
+        self.residual = residual * self._variance
         self._extremes = np.stack([prior.excess.min(axis=0), prior.excess.max(axis=0)])
-
-    @property
-    def num_tasks(self) -> int:
-        """T, the number of training tasks."""
-        return len(self.prior.excess)
 
     def task_means(self, latents: FloatArray) -> FloatArray:
         """Return x_i(z), the excess in each training task, `[task, point]`."""
-        return self._average + (self._kernel(latents, self.archive) @ self._weights).T
+        means = self._average + (self._kernel(latents, self.archive) @ self._weights).T
+        return means.mean(axis=0, keepdims=True) if self.num_tasks == 1 else means
 
     def noise(self, latents: FloatArray) -> FloatArray:
         """Return the variance of one episode's return, averaged over near latents, `[point]`."""
@@ -146,16 +150,15 @@ class ReturnModel:
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Return R(z, z'), the covariance of residual and jumps, `[first, second]`."""
         same = (first[:, None] == second[None]).all(axis=-1)
-        return self._residual * self._kernel(first, second) + self._jump * same
+        return self.residual * matern(first, second, self.reach) + self._jump * same
 
     def explained(self, length: float = 1.0) -> tuple[float, float]:
-        """Return the smallest and the largest return of one episode that the prior explains.
+        """Return the smallest and the largest return that the prior explains of an episode.
 
-        Args:
-            length: l, steps of the episode as a share of the horizon.
+        Its length l is a share of the horizon.
         """
         prior = self.prior
-        std = np.sqrt(prior.noise + self._residual + self._jump + (length * prior.offset_std) ** 2)
+        std = np.sqrt(prior.noise + self.residual + self._jump + (length * prior.offset_std) ** 2)
         low, high = self._extremes + length * prior.offset_mean
         return float((low - BEYOND * std).min()), float((high + BEYOND * std).max())
 
@@ -165,56 +168,45 @@ class ReturnModel:
         other.prior = replace(self.prior, offset_std=max(self.prior.offset_std, widest))
         return other
 
-    def unlike(self) -> "UnlikeModel":
-        """Return the model of a task unlike all training tasks."""
-        return UnlikeModel(self.shifted(), self._variance, _WIDER * self._length_scale, self._jump)
+    def unlike(self, wider: float = _WIDER) -> "ReturnModel":
+        """Return the model of a task unlike all training tasks: one stationary Gaussian process.
+
+        Its mean is that over the training tasks, and f varies over `wider` times the distance.
+        """
+        other = self.shifted()
+        other.num_tasks, other.residual = 1, self._variance
+        other.reach = wider * self._length_scale
+        return other
 
     def _kernel(self, first: FloatArray, second: FloatArray) -> FloatArray:
         return matern(first, second, self._length_scale)
 
 
-@dataclass(frozen=True)
-class UnlikeModel:
-    """A new task is unlike all training tasks: one Gaussian process with a stationary kernel.
+class Moments(NamedTuple):
+    """What whole episodes return in a new task, before any is played."""
 
-    Its mean is that over the training tasks. It has the methods of `ReturnModel`.
+    mean: FloatArray
+    """`[point]`."""
+    covariance: FloatArray
+    """Of returns without the noise of an episode, `[point, point]`."""
+    noise: FloatArray
+    """Variance that the noise of one episode adds, `[point]`."""
 
-    Attributes:
-        base: gives the mean, the noise and c.
-        variance: variance of f.
-        length_scale: distance in z over which f varies.
-        jump: variance that each latent has for itself.
+
+def moments(model: ReturnModel, latents: FloatArray) -> Moments:
+    """Return the moments of the mixture over training tasks, and of the unknown offset.
+
+    By the law of total covariance, with f ~ (1/T) sum_i GP(x_i, R) and c the offset:
+
+        mean = mean_i x_i + E[c],    covariance = cov_i(x_i) + R + var(c).
+
+    The latents are `[point, z]`, distinct from each other.
     """
-
-    base: ReturnModel
-    variance: float
-    length_scale: float
-    jump: float
-    num_tasks: int = 1
-
-    @property
-    def prior(self) -> ReturnPrior:
-        """The returns of the archive."""
-        return self.base.prior
-
-    @property
-    def archive(self) -> FloatArray:
-        """The latents that a search chooses from, `[latent, z]`."""
-        return self.base.archive
-
-    def explained(self, length: float = 1.0) -> tuple[float, float]:
-        """Return the smallest and the largest return of one episode that the prior explains."""
-        return self.base.explained(length)
-
-    def task_means(self, latents: FloatArray) -> FloatArray:
-        """Return the mean of f, `[1, point]`."""
-        return np.asarray(self.base.task_means(latents).mean(axis=0, keepdims=True))
-
-    def noise(self, latents: FloatArray) -> FloatArray:
-        """Return the variance of one episode's return, `[point]`."""
-        return self.base.noise(latents)
-
-    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return the covariance of f, `[first, second]`."""
-        same = (first[:, None] == second[None]).all(axis=-1)
-        return self.variance * matern(first, second, self.length_scale) + self.jump * same
+    tasks = model.task_means(latents)
+    centred = tasks - tasks.mean(axis=0)
+    between = centred.T @ centred / len(tasks)
+    return Moments(
+        tasks.mean(axis=0) + model.prior.offset_mean,
+        between + model.covariance(latents, latents) + model.prior.offset_std**2,
+        model.noise(latents),
+    )

@@ -55,12 +55,7 @@ class Safeguards:
             raise ValueError(f"`max_change` must be positive, got {self.max_change}.")
 
     def limit(self, name: str, size: int, default: float = 0.0) -> FloatArray:
-        """Return the limit `name` with one number for each actuator.
-
-        Args:
-            name: name of the field.
-            size: number of actuators.
-            default: the limit where the field is None.
+        """Return a limit with one number for each of `size` actuators; `default` where it is None.
 
         Raises:
             ValueError: it is neither one number nor `size` numbers.

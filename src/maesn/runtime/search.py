@@ -1,11 +1,10 @@
 """Search in the latent space: which latent to play next in a new task, and which to deploy."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maesn.runtime.arrays import Arrays, FloatArray, take
 from maesn.runtime.hypotheses import Hypotheses, MixedPosterior
@@ -94,10 +93,9 @@ class LatentSearch:
     ) -> "tuple[LatentSearch, int]":
         """Choose the point to play next.
 
-        Args:
-            generator: draws what the task may be, by its posterior probability: a hypothesis, and
-                the training task of Thompson sampling; and the points around the best one.
-            taken: points that others play already.
+        The generator draws what the task may be, by its posterior probability: a hypothesis, and
+        the training task of Thompson sampling; and the points around the best one. Others play the
+        points `taken` already.
 
         Returns:
             The search, which may have one more point, and the index of the chosen point.
@@ -119,13 +117,9 @@ class LatentSearch:
     def proposed_together(
         self, generator: np.random.Generator, count: int
     ) -> "tuple[LatentSearch, tuple[int, ...]]":
-        """Choose several points to play at the same time, by several robots.
+        """Choose several points to play at the same time, by `count` robots.
 
         Each is chosen as if those before it had returned what the model expects of them.
-
-        Args:
-            generator: as in `proposed`.
-            count: number of points.
 
         Returns:
             The search, which may have more points, and the indices of the chosen points.
@@ -188,11 +182,7 @@ class LatentSearch:
         return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
 
     def scores(self, component: int) -> FloatArray:
-        """Return the value of the acquisition function at each point, `[point]`.
-
-        Args:
-            component: the component of the posterior that was drawn.
-        """
+        """Return the acquisition function at each point, under one component, `[point]`."""
         part, task = self.posterior.part(component)
         if self.settings.acquisition == "thompson":
             return part.task_mean[task]
@@ -216,12 +206,8 @@ class LatentSearch:
             "search.lengths": np.asarray([one.length for one in readings]),
         }
 
-    def repeated(self, arrays: Mapping[str, NDArray[np.generic]]) -> "LatentSearch":
-        """Replay a saved search: add its points and readings again, in the same order.
-
-        Raises:
-            ValueError: the arrays do not fit this search.
-        """
+    def repeated(self, arrays: Arrays) -> "LatentSearch":
+        """Replay a saved search: add its points and readings again, in the same order."""
         size = self.points.shape[1]
         added = take(arrays, "search.added", -1, size)
         after = take(arrays, "search.added_after", len(added)).tolist()

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maesn.runtime.archive import entry
-from maesn.runtime.arrays import Arrays, FloatArray, take
+from maesn.runtime.arrays import Arrays, FloatArray, named, take, taken
 from maesn.runtime.episode import (
     PURPOSES,
     Episode,
@@ -19,7 +18,7 @@ from maesn.runtime.episode import (
     refuse_large,
 )
 from maesn.runtime.exported import ExportedPolicy
-from maesn.runtime.latent import Latent
+from maesn.runtime.latent import LATENT, Latent
 from maesn.runtime.posterior import Reading
 from maesn.runtime.search import LatentSearch
 
@@ -81,10 +80,8 @@ class ExplorerState:
     ) -> "ExplorerState":
         """Return the state with a new episode running.
 
-        Args:
-            explore: False holds z at the latent's mean, or at the best point of a search.
-            z: the z to play, `[latent]`; None for a draw, or for the choice of a search.
-            generator: draws z.
+        `explore=False` holds z at the latent's mean, or at the best point of a search. A z of None,
+        `[latent]`, is drawn with the generator, or chosen by the search.
         """
         if self.search is not None:
             search = self.search
@@ -152,16 +149,11 @@ class ExplorerState:
 
     def arrays(self, exported: ExportedPolicy) -> Arrays:
         """Return the arrays to save in a file."""
-        kept: Arrays = {
-            "latent.mean": self.latent.mean,
-            "latent.log_std": self.latent.log_std,
-            **episodes_to_arrays(self.episodes),
-        }
+        kept = named("latent", self.latent, *LATENT) | episodes_to_arrays(self.episodes)
         if self.running is not None:
             kept |= self.running.arrays(exported.observation_size, exported.action_size)
         if self.undo is not None:
-            kept["undo.mean"] = self.undo.latent.mean
-            kept["undo.log_std"] = self.undo.latent.log_std
+            kept |= named("undo", self.undo.latent, *LATENT)
             kept["undo.mean_return"] = np.asarray(self.undo.mean_return)
         if self.search is None:
             return kept
@@ -174,9 +166,7 @@ class ExplorerState:
 
     @staticmethod
     def from_archive(
-        arrays: Mapping[str, NDArray[np.generic]],
-        metadata: Mapping[str, Any],
-        exported: ExportedPolicy,
+        arrays: Arrays, metadata: Mapping[str, Any], exported: ExportedPolicy
     ) -> "ExplorerState":
         """Rebuild a saved state; raises ValueError if a part is missing or does not fit."""
         size = exported.latent_size
@@ -185,7 +175,8 @@ class ExplorerState:
         if "running.latent" in arrays:
             running = RunningEpisode.from_arrays(arrays, *sizes, purpose=_purpose(metadata))
         if "undo.mean" in arrays:
-            undo = Undo(_latent(arrays, "undo", size), float(take(arrays, "undo.mean_return")))
+            before = Latent(**taken(arrays, "undo", size, *LATENT))
+            undo = Undo(before, float(take(arrays, "undo.mean_return")))
         state = ExplorerState.new_task(exported)
         if state.search is not None:
             search = state.search.repeated(arrays)
@@ -193,7 +184,7 @@ class ExplorerState:
             state = replace(state, search=search, proposed=proposed, results=results)
         return replace(
             state,
-            latent=_latent(arrays, "latent", size),
+            latent=Latent(**taken(arrays, "latent", size, *LATENT)),
             update=entry(metadata, "update", int),
             episodes=episodes_from_arrays(arrays, *sizes),
             running=running,
@@ -221,7 +212,7 @@ def _results_to_arrays(proposed: tuple[int, ...], results: tuple[Reading, ...]) 
 
 
 def _results_from_arrays(
-    arrays: Mapping[str, NDArray[np.generic]], num_points: int
+    arrays: Arrays, num_points: int
 ) -> tuple[tuple[int, ...], tuple[Reading, ...]]:
     if "proposed" not in arrays:  # written before searches proposed several z
         return (), ()
@@ -236,7 +227,3 @@ def _points(stated: FloatArray, num_points: int) -> tuple[int, ...]:
     if not all(0 <= point < num_points for point in points):
         raise ValueError("array `proposed` or `results.point` names points that are not there.")
     return points
-
-
-def _latent(arrays: Mapping[str, NDArray[np.generic]], name: str, size: int) -> Latent:
-    return Latent(take(arrays, f"{name}.mean", size), take(arrays, f"{name}.log_std", size))

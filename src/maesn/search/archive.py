@@ -27,13 +27,7 @@ def drawn_latents(size: int, number: int, spread: float, seed: int) -> np.ndarra
 
 
 def adapted_latents(latent: AbstractSettableLatent, collect: Collector, key: Key) -> np.ndarray:
-    """Return a latent of each training task, `[task, z]`, found with their dense reward.
-
-    Args:
-        latent: the latent of the run's learner.
-        collect: plays the training tasks.
-        key: random key of the episodes.
-    """
+    """Return a latent of each training task, `[task, z]`, found with their dense reward."""
     keys, slots = jax.random.split(key, collect.num_tasks), jnp.arange(collect.num_tasks)
     parts = collect.parts(collect.num_tasks)
     return np.concatenate([latent.of_tasks(collect, keys[part], slots[part]) for part in parts])

@@ -28,13 +28,8 @@ def calibrated(
     """Return the prior with the levels of its intervals, found by searches with default settings.
 
     If the model is right, the returns hit the quantiles of its predictions uniformly. If it is too
-    wide or too narrow, the quantiles that they did hit correct it.
-
-    Args:
-        prior: returns of an archive.
-        latent: the latent of the run's learner.
-        world: tasks that the prior does not know, with the reward of the new tasks.
-        key: random key of the searches.
+    wide or too narrow, the quantiles that they did hit correct it. The world has tasks that the
+    prior does not know, with the reward of the new tasks.
     """
     settings = SearchSettings()
     learner = SearchFastLearner(latent, settings.model(prior), settings)

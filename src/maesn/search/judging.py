@@ -13,11 +13,7 @@ from maesn.envs import AnyEnv, TaskSet
 
 
 def situations(env: AnyEnv, tasks: TaskSet) -> list[np.ndarray]:
-    """Group the tasks that can share episodes, because only their rewards differ.
-
-    Returns:
-        The indices of the tasks in each group.
-    """
+    """Return the indices of tasks that can share episodes, because only their rewards differ."""
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(jax.vmap(env.situation)(tasks.tasks))]
     groups: dict[bytes, list[int]] = {}
     for index in range(len(tasks)):
@@ -34,7 +30,7 @@ def returns_under(
     valid: Bool[Array, "simulation time"],
     tasks: Any,
 ) -> Float[Array, "task simulation"]:
-    """Compute the returns that episodes would have in other tasks of the same situation.
+    """Compute the undiscounted returns that episodes would have in other tasks of their situation.
 
     Args:
         env: the environment, with the reward to use.
@@ -42,9 +38,6 @@ def returns_under(
         action: the policy's actions.
         valid: true where a step was played.
         tasks: the tasks, stacked.
-
-    Returns:
-        Undiscounted returns.
     """
     before = jax.tree.map(lambda x: jnp.moveaxis(x[:-1], 0, 1), readings)
     after = jax.tree.map(lambda x: jnp.moveaxis(x[1:], 0, 1), readings)

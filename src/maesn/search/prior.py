@@ -96,14 +96,9 @@ def make_prior(
     settings: PriorSettings,
     progress: Progress = lambda done, of: None,
 ) -> ReturnPrior:
-    """Play an archive in the training tasks.
+    """Play an archive, `[latent, z]`, in training tasks with the reward of the new tasks.
 
-    Args:
-        latent: the latent of the run's learner.
-        world: the training tasks, with the reward of the new tasks.
-        latents: the archive, `[latent, z]`.
-        settings: numbers of episodes, and the seed.
-        progress: called after each batch.
+    Progress is called after each batch.
     """
     _, episodes = settings.counts(world.env, world.tasks)
     play = partial(_play_groups, latent, world, settings)

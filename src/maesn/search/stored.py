@@ -72,7 +72,7 @@ def run_prior(
     progress: Progress = lambda played, of: None,
     directory: Path | None = None,
 ) -> tuple[Path, ReturnPrior]:
-    """Make the prior over returns of a run's latest checkpoint, and save it.
+    """Make the prior over returns of a run's latest checkpoint, save it, and return both.
 
     Args:
         run: a run of a method with a latent.
@@ -82,9 +82,6 @@ def run_prior(
         progress: called as `make_prior` says.
         directory: of the run that gets the file; None for the run itself, or a copy of a policy
             that comes with the library.
-
-    Returns:
-        The file and the prior in it.
 
     Raises:
         RunError: the run has no latent, or something cannot be written.
@@ -144,12 +141,12 @@ def find_prior(
     name: str = "",
     any_reward: bool = False,
 ) -> ReturnPrior:
-    """Return the prior of a run for a world. Make it if it is missing.
+    """Return the prior of a run, in that state, for a world. Make it if it is missing.
 
     Args:
         run: the run that the prior belongs to.
         state: the run's latest state.
-        world: the world of the new tasks; only its reward matters.
+        world: of the new tasks; only its reward matters.
         action_noise: whether the archive was played with the noise of training.
         name: path of a prior; empty for the run's own.
         any_reward: whether a prior that was made for another reward will do.

@@ -17,13 +17,10 @@ MANY_STEPS = 1e9
 
 
 def check_memory(env: AnyEnv, num_episodes: int) -> None:
-    """Refuse a batch of episodes that this machine cannot hold.
+    """Refuse by `RunError` a batch of episodes that this machine cannot hold.
 
     What is counted is the least that any method keeps of a step in single precision: observation,
     action, its noise, mean and standard deviation, and six numbers and flags.
-
-    Raises:
-        RunError: the batch is larger than the machine's memory.
     """
     needed = 4 * num_episodes * env.horizon * (env.observation_size + 4 * env.action_size + 6)
     if needed > memory():

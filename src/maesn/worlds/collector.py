@@ -11,13 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
-from maesn.axes import (
-    HostReadings,
-    Key,
-    Readings,
-    RecurrentState,
-    TaskKeys,
-)
+from maesn.axes import HostReadings, Key, Readings, RecurrentState, TaskKeys
 from maesn.envs.base import AnyEnv
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
@@ -99,11 +93,7 @@ class Collector:
     def play(
         self, keys: TaskKeys, agents: Agents, task_index: Int[Array, " task"]
     ) -> tuple[Episodes, Readings | HostReadings]:
-        """Play episodes as a call does, and return the states as well.
-
-        Returns:
-            The episodes, and the readings of all states, `[time_plus_1, simulation, ...]`.
-        """
+        """Play as a call does; return all readings as well, `[time_plus_1, simulation, ...]`."""
         check_policy(agents.policy, self.world.env)
         check_memory(self.world.env, len(task_index) * self.episodes_per_task)
         tasks = self.world.tasks[np.asarray(task_index)]

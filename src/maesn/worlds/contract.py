@@ -9,12 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from maesn.envs.base import (
-    AbstractMujocoEnv,
-    AbstractPureEnv,
-    AbstractSimulatedEnv,
-    AnyEnv,
-)
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulatedEnv, AnyEnv
 from maesn.envs.hosted import AbstractGymnasiumEnv
 from maesn.physics import field_values, load_model, resting_readings
 from maesn.policies import USUAL, AbstractPolicy
@@ -24,11 +19,7 @@ from maesn.worlds.foreign import check_hosted
 
 
 def check_policy(policy: AbstractPolicy, env: AnyEnv) -> None:
-    """Refuse a policy whose actions are of another kind, or that reads a reward that is lacking.
-
-    Raises:
-        RunError: it is one of these.
-    """
+    """Refuse by `RunError` a policy of other actions, or that reads a reward that is lacking."""
     with refusals():
         env.check_shown(policy.observed_reward)
     wanted, kind = env.action_kind, policy.action_kind
@@ -48,10 +39,6 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
     that is not the model's. JAX works out the shapes; no episode is played. What a function raises
     is passed on. Environments of others are begun and stepped once; what Gymnasium's own check
     finds beyond that is a warning.
-
-    Args:
-        env: an environment of any family.
-        task: one of its tasks.
 
     Raises:
         EnvContractError: a function returns another shape, there is no field of a name, or

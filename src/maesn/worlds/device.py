@@ -62,25 +62,12 @@ class _PureAdvance(NamedTuple):
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def scan_episodes(
-    env: AnyEnv,
-    advance: Advance,
-    act: Act,
-    actors: Actors,
-    state: Any,
-    first: Readings,
+    env: AnyEnv, advance: Advance, act: Act, actors: Actors, state: Any, first: Readings
 ) -> tuple[Trajectory, Bool[Array, "time task episode"]]:
     """Play one episode of `env.horizon` steps in every simulation, in one compiled program.
 
-    Args:
-        env: the environment.
-        advance: moves the simulations.
-        act: decides each step.
-        actors: the agents of all episodes.
-        state: initial state of all simulations, as `advance` takes it.
-        first: readings of that state.
-
-    Returns:
-        The trajectory, and which episodes had ended at each decision.
+    `first` are the readings of the initial state, which is as `advance` takes it. Returns the
+    trajectory, and which episodes had ended at each decision.
     """
     batch = actors.z.shape[:2]
     no_action, no_end = jnp.zeros((*batch, env.action_size)), jnp.zeros(batch, bool)

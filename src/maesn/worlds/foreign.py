@@ -25,9 +25,7 @@ logger = logging.getLogger(__name__)
 class HostedStepper(AbstractStepper):
     """Steps an `AbstractGymnasiumEnv` in worker processes, which start when first needed.
 
-    Args:
-        env: the environment.
-        num_workers: largest number of processes; 0 means one for each CPU.
+    There are at most `num_workers`; 0 means one for each CPU.
     """
 
     def __init__(self, env: AbstractGymnasiumEnv, num_workers: int = 0) -> None:
@@ -86,10 +84,6 @@ class HostedStepper(AbstractStepper):
 
 def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
     """Begin and step an environment once; what Gymnasium finds beyond that is a warning.
-
-    Args:
-        env: a family's environment.
-        task: one of its tasks.
 
     Raises:
         EnvContractError: it fails, or returns what cannot be used.

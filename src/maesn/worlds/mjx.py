@@ -10,11 +10,11 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import Readings
 from maesn.envs.base import AbstractMujocoEnv, Start
 from maesn.envs.tasks import TaskSet
-from maesn.physics import PhysicsError
 from maesn.physics.base import LARGEST
 from maesn.physics.mjx import MjxEngine, MjxState
 from maesn.worlds.base import AbstractWorld, Act, Actors, SimulationFailure, Trajectory
 from maesn.worlds.device import scan_episodes
+from maesn.worlds.stepping import naming_simulations
 
 # The readings that show whether a simulation has blown up.
 _STATE = ("qpos", "qvel")
@@ -22,11 +22,6 @@ _STATE = ("qpos", "qvel")
 
 class MjxWorld(AbstractWorld):
     """Plays an `AbstractMujocoEnv` on JAX's device, which manages its own threads.
-
-    Args:
-        env: the environment.
-        tasks: the tasks that can be played.
-        num_threads: has no effect.
 
     Raises:
         EngineError: MJX is not installed.
@@ -62,10 +57,8 @@ class MjxWorld(AbstractWorld):
 
     def _reset(self, start: Start) -> tuple[MjxState, Readings]:
         fields = {name: np.asarray(values) for name, values in start.model_fields.items()}
-        try:
+        with naming_simulations():
             dynamics = self._engine.dynamics(fields)
-        except PhysicsError as error:
-            raise SimulationFailure(error.simulations[0], 0, error.reason) from error
         return self._initial(start.qpos, start.qvel, dynamics)
 
 

@@ -34,13 +34,10 @@ def judge(
     action: Float[Array, "time action"],
     task: Any,
 ) -> tuple[Array, Reward, Array, Array, Array]:
-    """Evaluate the environment along one episode.
+    """Return observations, rewards, rewards as the policy receives them, `solved` and `ended`.
 
-    Returns:
-        A tuple of the observations `[time_plus_1, observation]`; the rewards `[time]`; the rewards
-        as the policy receives them `[time]`; whether each state lies in the goal region
-        `[time_plus_1]`; and whether the episode has ended at or before each state
-        `[time_plus_1]`.
+    Of one episode: rewards are `[time]`, the others `[time_plus_1]`. `ended` says whether the
+    episode has ended at or before each state.
     """
     before = jax.tree.map(lambda x: x[:-1], readings)
     after = jax.tree.map(lambda x: x[1:], readings)

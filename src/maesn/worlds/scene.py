@@ -30,8 +30,8 @@ class Scene:
     Args:
         env: whose states.
         view: what the camera must see; None where tasks are no places.
-        width: width of the pictures, in pixels.
-        height: height of the pictures, in pixels.
+        width: of the pictures, in pixels.
+        height: of the pictures, in pixels.
 
     Raises:
         RenderingError: the system has no library to draw with, or the environment no planar
@@ -52,17 +52,11 @@ class Scene:
         self._renderer = Renderer(_model(env), view, width, height)
 
     def draw(
-        self,
-        readings: HostReadings,
-        task: Any,
-        trail: Float[np.ndarray, "point 2"] | None = None,
+        self, readings: HostReadings, task: Any, trail: Float[np.ndarray, "point 2"] | None = None
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture of one state.
+        """Return a picture of one state, with the task's goal and the way to it that is left.
 
-        Args:
-            readings: the readings of that state.
-            task: whose goal is shown, and the way to it that is left.
-            trail: positions, in metres, that are joined by a line; None for no line.
+        A line joins the positions of the trail, in metres; None for no line.
         """
         if not self.env.planar:
             return self._renderer.draw_alone(np.asarray(readings["qpos"]))
@@ -100,14 +94,10 @@ def _marks(env: AnyEnv, readings: dict[str, Array], task: Any) -> tuple[Array, A
 
 
 def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View | None:
-    """Return a view of tasks and of all that moves in some states; None if tasks are no places.
+    """Return a view of stacked tasks and of what moves in some states; None if they are no places.
 
-    Who goes astray leaves the picture: it would make everything else too small to see.
-
-    Args:
-        env: says where the goals are, and what lies beside them.
-        tasks: which; a pytree of arrays with a leading `row` axis.
-        readings: readings `[state, ...]`; the first state is the start of an episode.
+    Who goes astray leaves the picture: it would make everything else too small to see. Readings are
+    `[state, ...]`; the first state is the start of an episode.
     """
     if not env.planar:
         return None

@@ -54,14 +54,11 @@ class AbstractStepper(ABC):
 
     @abstractmethod
     def step(self, control: Controls, ended: Ended) -> HostReadings:
-        """Advance all simulations by one control step.
+        """Advance all simulations by one control step; return their readings in single precision.
 
         Args:
             control: what `env.control` returns.
             ended: simulations whose episode is over. Their readings may be anything.
-
-        Returns:
-            The readings of all simulations, in single precision.
 
         Raises:
             SimulationFailure: one whose episode is not over cannot go on.
@@ -70,11 +67,7 @@ class AbstractStepper(ABC):
     def renderer(self, task: Any) -> Renderer | None:
         """Return what lets the environments draw themselves, as those of others may; None if not.
 
-        Args:
-            task: any task, for an environment that can be asked.
-
-        Raises:
-            SimulationFailure: the environment cannot be used.
+        Any task does, for an environment that can be asked, or that is a `SimulationFailure`.
         """
         return None
 
@@ -84,13 +77,9 @@ class AbstractStepper(ABC):
 
 
 class NativeStepper(AbstractStepper):
-    """Moves an `AbstractMujocoEnv` on threads of the MuJoCo engine.
+    """Moves an `AbstractMujocoEnv` on threads of the MuJoCo engine; 0 means one for each CPU.
 
     Simulators are kept open, one for each number of simulations that has begun.
-
-    Args:
-        env: the environment, with its own model and settings.
-        num_threads: threads of the engine; 0 means one for each CPU.
     """
 
     def __init__(self, env: AbstractMujocoEnv[Any], num_threads: int = 0) -> None:
@@ -103,11 +92,11 @@ class NativeStepper(AbstractStepper):
         qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
         if rows is None:
             self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
-        with _naming():
+        with naming_simulations():
             return _single(self._open().reset(qpos, qvel, fields, rows))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
-        with _naming():
+        with naming_simulations():
             return _single(self._open().step(control, abandoned=ended))
 
     def close(self) -> None:
@@ -140,7 +129,8 @@ def _single(readings: HostReadings) -> HostReadings:
 
 
 @contextmanager
-def _naming() -> Iterator[None]:
+def naming_simulations() -> Iterator[None]:
+    """Turn an error of the engine into a `SimulationFailure`."""
     try:
         yield
     except PhysicsError as error:

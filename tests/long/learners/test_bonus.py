@@ -6,9 +6,7 @@ import numpy as np
 from chain import chain
 from playing import keys
 
-from maesn.learners import (
-    SCRATCH,
-)
+from maesn.learners import SCRATCH
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world

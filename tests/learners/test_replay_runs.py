@@ -1,0 +1,41 @@
+"""Methods with a replay: their runs go on bit for bit, on the one device that can hold it."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+from learners import test_pearl, test_varibad
+from small_runs import create, finish, metrics, outcome, reopened, tensors
+
+from maesn.numerics.mesh import sharing_tasks
+from maesn.runs.checkpoint import REPLAY
+
+LEARNERS = {
+    "rings": test_pearl.tiny(),
+    "buffer": test_varibad.small(bonus=test_varibad.ALL, trial_episodes=2),
+}
+every_learner = pytest.mark.parametrize(("held", "learner"), LEARNERS.items())
+
+
+@every_learner
+def test_an_interrupted_run_is_the_same_and_its_newest_checkpoint_alone_has_replay(
+    held: str, learner: Any, tmp_path: Path
+) -> None:
+    make = partial(create, learner=learner, iterations=4, checkpoint_every=1)
+    whole = finish(make(tmp_path / "whole"))
+    resumed = finish(reopened(finish(make(tmp_path / "halves"), iterations=2)))
+    assert outcome(whole) == outcome(resumed)
+    (first,), (second,) = (run.directory.rglob(f"{REPLAY}*") for run in (whole, resumed))
+    assert tensors(first) == tensors(second)
+    assert first.name == second.name
+    assert not [name for name in tensors(whole.checkpoints()[-1]) if held in name]
+    assert metrics(whole)[-1]["environment_steps"] == learner.planned_episodes(3, 4) * 40
+
+
+@every_learner
+def test_several_devices_are_refused(held: str, learner: Any) -> None:
+    devices = jax.devices("cpu")
+    with sharing_tasks([devices[0]] * 2), pytest.raises(ValueError, match="on one device"):
+        learner.check_batch(3)
