@@ -103,7 +103,8 @@ def test_a_search_is_watched(browser: Browser, of_run: Path) -> None:
     page.locator("#search-slider").focus()
     page.keyboard.press("Home")
     said = opened.text("#search-said")
-    assert said.startswith("Before any episode. ") and " Next it tries z = (" in said
+    assert said.startswith("Before any episode. ")
+    assert " Next it tries z = (" in said
     page.select_option("#search-task", "1")
     page.click("#search-play")
     page.wait_for_function(

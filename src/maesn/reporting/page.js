@@ -414,9 +414,9 @@ function scatter(lines) {
   function draw() {
     const [x, y] = [across, up].map((select) => lines[Number(select.value)]);
     const points = x.returns.slice(0, y.returns.length).map((value, task) => [value, y.returns[task]]);
-    const plane = new Plane(...box(points), "Mean returns, task by task", [x.label, y.label], 330);
-    const same = [Math.max(...plane.low), Math.min(...plane.high)];
-    if (same[0] < same[1]) plane.layer("same").append(plane.path(same.map((value) => [value, value]), "prior"));
+    const [low, high] = box(extremes(points.flat()).map((value) => [value, value]));
+    const plane = new Plane(low, high, "Mean returns, task by task", [x.label, y.label], 330);
+    plane.layer("same").append(plane.path([low, high], "prior"));
     const dots = plane.layer("dots");
     points.forEach((point, task) => {
       const dot = plane.circle(point, 4, { class: "dot" });
