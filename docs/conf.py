@@ -37,7 +37,7 @@ suppress_warnings = ["myst.header"]  # tables that a program has written begin a
 
 html_theme = "furo"
 html_static_path = ["static"]
-html_css_files = ["cards.css"]
+html_css_files = ["site.css"]
 html_extra_path = ["site"]  # the first page, which leads to `docs/index.html`
 html_title = f"maesn {release}"
 html_show_sourcelink = False
