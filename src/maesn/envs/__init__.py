@@ -21,6 +21,7 @@ from maesn.envs.blockpush import blockpush as blockpush
 from maesn.envs.catalogue import FAMILIES as FAMILIES
 from maesn.envs.catalogue import find_family as find_family
 from maesn.envs.catalogue import is_own as is_own
+from maesn.envs.catalogue import split_variant as split_variant
 from maesn.envs.cheetah import Body as Body
 from maesn.envs.cheetah import CheetahBody as CheetahBody
 from maesn.envs.cheetah import CheetahDir as CheetahDir

@@ -40,6 +40,12 @@ def find_family(name: str) -> TaskFamily:
     )
 
 
+def split_variant(name: str) -> tuple[str, str]:
+    """Return family and variant of a name such as `sparse_point:varibad`; "" for no variant."""
+    family, _, variant = name.partition(":")
+    return (family, variant) if family in FAMILIES else (name, "")
+
+
 def is_own(family: str) -> bool:
     """Return whether a name is `module:name` of a user's own family."""
     return ":" in family and family.partition(":")[0] not in {x.partition(":")[0] for x in HOSTED}

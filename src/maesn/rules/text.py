@@ -6,6 +6,7 @@ from typing import Any
 
 from maesn.envs.sources import imported
 from maesn.rules.base import AbstractRule, AbstractWrapper
+from maesn.rules.controls import RandomRule, StationaryRule
 from maesn.rules.prescribed import GradientRule, MemoryRule, NoAdaptation
 from maesn.rules.search import SearchRule
 from maesn.rules.wrappers import ThenReinforce, ThenTrpo, VimeBonus
@@ -17,6 +18,8 @@ KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
     "rule": {
         "gradient": GradientRule,
         "search": SearchRule,
+        "stationary": StationaryRule,
+        "random": RandomRule,
         "memory": MemoryRule,
         "none": NoAdaptation,
     },

@@ -25,6 +25,9 @@ ATTEMPTS = 3  # a job may fail because its process was killed
 # the speed of one thread.
 SECONDS_TO_BEGIN = 10
 STEPS_PER_SECOND = 50_000
+# How many times longer methods train on a step: PEARL takes gradient steps on small batches of its
+# replay, VariBAD and RL2 go through trials step by step, MAML differentiates through its weights.
+EFFORT = {"pearl": 33, "varibad": 4, "rl2": 2, "maml": 2}
 
 
 class AbstractExecutor(ABC):
@@ -156,12 +159,19 @@ class Execution:
 def _estimate(job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
     """Return the seconds that a job takes, and what says so: jobs of its kind and family if any."""
     kind = job.name.split("-")[:2]
-    like = [found for name, found in done.items() if found and name.split("-")[:2] == kind]
-    steps, seconds = (sum(float(one[key]) for one in like) for key in ("steps", "seconds"))
+    like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
+    steps = sum(_effort(name) * one["steps"] for name, one in like.items())
     if steps:
-        return job.steps * seconds / steps, "what jobs of the same kind took"
+        seconds = sum(one["seconds"] for one in like.values())
+        return _effort(job.name) * job.steps * seconds / steps, "what jobs of the same kind took"
     return (
-        SECONDS_TO_BEGIN + job.steps / STEPS_PER_SECOND,
+        SECONDS_TO_BEGIN + _effort(job.name) * job.steps / STEPS_PER_SECOND,
         f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, as "
-        "on `point` and `wheeled`",
+        "on `point` and `wheeled`, or fewer where a method learns more from each",
     )
+
+
+def _effort(name: str) -> int:
+    """Return how many times longer than usual a step of a job takes."""
+    trains = name.startswith("train-")
+    return next((x for one, x in EFFORT.items() if trains and f"-{one}-seed-" in name), 1)

@@ -143,7 +143,7 @@ def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Untra
     spec, world = study.scratch[name], study.world(family)
     spec = dataclasses.replace(spec, method=spec.method or name)
     with (Place(study.file) / "scratch" / name).refusing():
-        learner = scratch_learner(spec, make_env(resolve_family(family), world))
+        learner = scratch_learner(spec, make_env(study.family(family), world))
     own = {"method": spec.method, "label": spec.label, "settings": fields_to_json(spec)}
     return [_untrained(world, learner, seed, **own) for seed in spec.seeds or study.seeds]
 
@@ -196,17 +196,17 @@ def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
 
 
 def _existing(directory: str, study: StudySpec, family: str, method: str | None) -> TrainedRun:
-    run = Run.open(directory, family, method)
-    wanted = make_env(resolve_family(family), study.world(family))
-    if run.env().variant != wanted.variant:
-        raise ValueError(f"`{directory}` must be a run of the variant `{study.variant}`.")
+    world = study.world(family)
+    run = Run.open(directory, world.family, method)
+    if run.env().variant != make_env(study.family(family), world).variant:
+        raise ValueError(f"`{directory}` must be a run of the variant `{world.variant}`.")
     where = str(run.directory.resolve())
     return trained_run(run, directory=where, training_steps=run.latest().environment_steps)
 
 
 def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun:
     """Return a run that is to be trained, after all checks that are possible before training."""
-    resolved = resolve_family(family)
+    resolved = study.family(family)
     learner, settings = _settings(study, name, family, seed)
     learner = learner.for_actions(make_env(resolved, settings).action_kind)
     learner.check_batch(settings.episodes_per_task)
@@ -232,15 +232,15 @@ def _settings(
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
     """Return learner and settings of a run that is to be trained."""
     spec = study.runs[name]
-    preset, usual = spec.preset or name, {}
+    preset, usual, world = spec.preset or name, {}, study.world(family)
     if ":" in preset:
         learner = own_method(preset)
     elif spec.source == "reference":
         learner = learners.PRESETS[preset]()
     else:
-        learner = learners.recommended(preset, family)
-        usual = learners.recommended_run(preset, family)
-    settings = dataclasses.replace(study.world(family), seed=seed, **usual)
+        learner = learners.recommended(preset, world.family)
+        usual = learners.recommended_run(preset, world.family)
+    settings = dataclasses.replace(world, seed=seed, **usual)
     names = fields_to_json(settings).keys() - _NOT_OF_A_RUN
     changes = leaves(spec.changes) | leaves(spec.on.get(family, {}))
     own = {path: changes.pop(path) for path in names & changes.keys()}

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from maesn.envs import AnyEnv, TaskSet, describe_env
-from maesn.envs.sources import find_tasks, resolve_family
+from maesn.envs import AnyEnv, TaskSet, describe_env, split_variant
+from maesn.envs.sources import find_tasks
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
 from maesn.reporting.style import METHOD_STYLES
@@ -125,7 +125,8 @@ class _Planner:
         for world, lines in worlds.items():
             texts = Path(world[0]).stem, world[1], f"radius-{world[2] or 0:g}"
             told = [text for text, is_told in zip(texts, differs, strict=True) if is_told]
-            name = "-".join([in_files(resolve_family(self.family).name), *told])
+            variant = filter(None, split_variant(self.family)[1:])
+            name = "-".join([in_files(self.study.family(self.family).name), *variant, *told])
             yield self.comparison(name, lines)
 
     def run(self, name: str) -> Sequence[TrainedRun]:
@@ -190,7 +191,7 @@ class _Planner:
         above = [self.line("oracle", study.oracle, best, asked)] if best else []
         world = {
             "family": self.family,
-            "variant": study.variant,
+            "variant": study.world(self.family).variant,
             "tasks": first.tasks,
             "reward": first.reward,
             "sparse_radius": first.sparse_radius,
@@ -259,7 +260,7 @@ class _Planner:
 
     def tasks(self, asked: Evaluation) -> TaskSet:
         """Return the set of tasks that an evaluation names."""
-        return find_tasks(asked.tasks, resolve_family(self.family))
+        return find_tasks(asked.tasks, self.study.family(self.family))
 
     def add(self, name: str, *fields: Any) -> str:
         """Plan a job, unless it is planned already; return its name."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from maesn import learners
-from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.protocols import settings_by
 from maesn.rules import KNOWN, from_text
@@ -111,7 +110,7 @@ def check_names(study: StudySpec) -> None:
     place = Place(study.file)
     with (place / "families").refusing():
         for family in study.families:
-            resolve_family(family)
+            study.world(family), study.family(family)
     (place / "oracle").check(study.oracle, study.runs)
     for name, run in study.runs.items():
         if not run.directories and ":" not in run.preset:

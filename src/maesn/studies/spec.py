@@ -6,9 +6,10 @@ A file says it in TOML (`maesn.studies.reading`); `maesn compare` says it in Pyt
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
-from maesn.envs import Variant
+from maesn.envs import TaskFamily, Variant, split_variant
+from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.runs.config import RunSettings
 from maesn.settings import check_number, check_positive, suggestion
@@ -151,7 +152,7 @@ class StudySpec:
     name: str
     """Name of the study's directory."""
     families: tuple[str, ...]
-    """Names, or `module:name` of your own."""
+    """Names, or `module:name` of your own. `sparse_point:varibad` is one variant of a family."""
     file: str = "study"
     """Name of the study in messages."""
     seeds: tuple[int, ...] = (0,)
@@ -191,9 +192,17 @@ class StudySpec:
 
     def world(self, family: str) -> RunSettings:
         """Return what all runs have in common on a family."""
+        name, variant = split_variant(family)
         return RunSettings(
-            family=family, variant=self.variant, engine=self.engine, num_threads=self.threads
+            family=name,
+            variant=cast(Variant, variant or self.variant),
+            engine=self.engine,
+            num_threads=self.threads,
         )
+
+    def family(self, name: str) -> TaskFamily:
+        """Return one of the families; `RunError` if there is none of that name."""
+        return resolve_family(self.world(name).family)
 
     @property
     def all_lines(self) -> tuple[LineSpec, ...]:

@@ -33,7 +33,7 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState]):
 
     policy: SquashedPolicy
     encoder: ContextEncoder
-    latent_scale: Float[Array, ""]
+    latent_scale: Float[Array | np.ndarray, ""]
     """Root mean square of the components of z in training."""
     prior_episodes: int = 1
     """Episodes of a task whose z is drawn from the prior."""

@@ -1,0 +1,95 @@
+"""Controls of a search: what is left of it without the training tasks, and without any model."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from maesn.axes import TaskKeys
+from maesn.context import AbstractContext
+from maesn.envs import AnyEnv
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
+from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
+from maesn.rules.base import AbstractRule, Budget, Trained
+from maesn.rules.search import SearchRule
+from maesn.search import SearchFastLearner, SearchSettings, latent_of
+
+
+class StationaryRule(SearchRule):
+    """Search as `search` does, with one Gaussian process that knows no training task.
+
+    Its mean is the average over training tasks, its kernel stationary with their variance.
+    """
+
+    settings: SearchSettings = SearchSettings(familiar=1.0)
+
+    @property
+    def label(self) -> str:
+        return "stationary process"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> SearchFastLearner:
+        learner = super().fast_learner(trained, env)
+        scale = self.settings.length_scale
+        alike = replace(learner.model.unlike(), base=learner.model, length_scale=scale)
+        # Where a task is surely familiar, a search asks a model for nothing that this one lacks.
+        return replace(learner, model=alike)  # type: ignore[arg-type]
+
+
+class RandomRule(AbstractRule):
+    """Play latents drawn at random; deploy the one with the highest return so far."""
+
+    budget: ClassVar[Budget] = Budget(20, 1, 5)
+
+    spread: float = 1.0
+    """Standard deviation of the draws; 1 is the prior of MAESN."""
+
+    @property
+    def label(self) -> str:
+        return "random latents"
+
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> "RandomLatents":
+        return RandomLatents(latent_of(trained.fast_learner()), self.spread)
+
+
+class RandomState(eqx.Module):
+    """State of `RandomLatents`, one element per task."""
+
+    keys: TaskKeys
+    best: Float[Array, "task z"]
+    best_return: Float[Array, " task"]
+    played: Int[Array, ""]
+
+
+class RandomLatents(AbstractFastLearner[RandomState]):
+    """Draws a latent for each update, and remembers the best."""
+
+    steered: AbstractSettableLatent
+    spread: float
+
+    def init(self, keys: TaskKeys) -> RandomState:
+        nothing = jnp.zeros((len(keys), self.steered.size))
+        return RandomState(keys, nothing, jnp.full(len(keys), -jnp.inf), jnp.zeros((), int))
+
+    def agents(self, state: RandomState, purpose: Purpose = "explore") -> Agents:
+        latents = state.best if purpose == "deploy" else self._drawn(state)
+        return replace(self.steered.holding(latents), is_noisy=False)  # as in a search
+
+    def adapted(self, state: RandomState) -> AbstractContext:
+        """Return the latents to deploy."""
+        return self.agents(state, "deploy").context
+
+    def update(self, state: RandomState, episodes: Episodes) -> RandomState:
+        returns = episodes.undiscounted_return.mean(-1)
+        is_better = returns > state.best_return
+        best = jnp.where(is_better[:, None], self._drawn(state), state.best)
+        most = jnp.maximum(returns, state.best_return)
+        return RandomState(state.keys, best, most, state.played + 1)
+
+    def _drawn(self, state: RandomState) -> Float[Array, "task z"]:
+        keys = jax.vmap(jax.random.fold_in, (0, None))(state.keys, state.played)
+        draws = jax.vmap(jax.random.normal, (0, None))(keys, (self.steered.size,))
+        return self.spread * draws
