@@ -137,12 +137,12 @@ $(BIN)/python:
 
 $(RUN_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn into $(VENV)"
-	@$(INSTALL) --editable '.[page]'  # for the page of `make demo`
+	@$(INSTALL) --editable .
 	@touch $@
 
 $(DOCS_READY): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "== installing maesn and Sphinx into $(VENV)"
-	@$(INSTALL) --editable '.[docs,page]'
+	@$(INSTALL) --editable '.[docs]'
 	@touch $(RUN_READY) $@
 
 $(BROWSER_READY): $(TEST_READY)

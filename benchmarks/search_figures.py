@@ -22,6 +22,7 @@ from matplotlib.patches import Circle
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
+from maesn.reporting import style
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.runtime.search import LatentSearch
@@ -36,13 +37,13 @@ POINTS = 71  # along each axis
 RUNS = ("wheeled", "ant", "blockpush")
 # Line of the tables -> what it is called, which of its numbers is drawn, and how.
 LINES = {
-    "search": ("search", "deployed", "r-o"),
-    "cma_es": ("CMA-ES", "deployed", "c-o"),
-    "cross_entropy": ("cross-entropy", "deployed", "g-o"),
-    "best_of_wide": ("best of draws", "deployed", "y-o"),
-    "gradient": ("gradient, at the mean", "deployed", "b-o"),
+    "search": ("search", "deployed", style.VERMILLION, "-o"),
+    "cma_es": ("CMA-ES", "deployed", style.SKY_BLUE, "-D"),
+    "cross_entropy": ("cross-entropy", "deployed", style.BLUISH_GREEN, "-^"),
+    "best_of_wide": ("best of draws", "deployed", style.ORANGE, "-s"),
+    "gradient": ("gradient, at the mean", "deployed", style.BLUE, "-v"),
 }
-DRAWN = ("gradient", ("gradient, z drawn", "drawn", "b--o"))
+DRAWN = ("gradient", ("gradient, z drawn", "drawn", style.BLUE, "--v"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +98,7 @@ def draw_beliefs(found: Searched) -> Figure:
     axis = np.linspace(-EDGE, EDGE, POINTS)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     figure, panels = plt.subplots(
-        1, len(SHOWN), figsize=(11, 2.7), sharey=True, layout="constrained"
+        1, len(SHOWN), figsize=(style.TWO_COLUMNS, 1.9), sharey=True, layout="constrained"
     )
     means = []
     for count in SHOWN:
@@ -108,9 +109,11 @@ def draw_beliefs(found: Searched) -> Figure:
     for panel, count, mean in zip(panels, SHOWN, means, strict=True):
         image = panel.pcolormesh(axis, axis, mean, vmin=limits[0], vmax=limits[1], rasterized=True)
         if count:
-            panel.plot(*np.stack(found.played[:count]).T, "o", color="white", ms=4, mec="black")
+            panel.plot(
+                *np.stack(found.played[:count]).T, "o", color="white", ms=3, mec="black", mew=0.5
+            )
         one = found.searches[count]
-        panel.plot(*one.latent(one.best), "*", color="red", ms=9, mec="white")
+        panel.plot(*one.latent(one.best), "*", color=style.VERMILLION, ms=8, mec="white", mew=0.6)
         panel.set(
             title=f"after {count} episode{'s' * (count != 1)}", xlabel="$z_1$", aspect="equal"
         )
@@ -121,9 +124,10 @@ def draw_beliefs(found: Searched) -> Figure:
 
 def draw_trajectories(found: Searched) -> Figure:
     """Draw where the first episodes went."""
-    figure, axes = plt.subplots(figsize=(4.2, 3.6), layout="constrained")
-    axes.add_patch(Circle(tuple(found.goal), found.radius, color="tab:green", alpha=0.25))
-    axes.plot(*found.goal, "*", color="tab:green", ms=12)
+    figure, axes = plt.subplots(figsize=(style.TWO_COLUMNS, 3.0), layout="constrained")
+    region = Circle(tuple(found.goal), found.radius, color=style.BLUISH_GREEN, alpha=0.25, lw=0)
+    axes.add_patch(region)
+    axes.plot(*found.goal, "*", color=style.BLUISH_GREEN, ms=10)
     colours = plt.get_cmap("viridis")(np.linspace(0, 0.95, TRAJECTORIES))
     for number, (path, colour) in enumerate(zip(found.paths, colours, strict=False), start=1):
         axes.plot(*path.T, color=colour)
@@ -138,26 +142,27 @@ def draw_returns(path: Path) -> Figure:
         rows = list(csv.DictReader(file))
     runs = [run for run in RUNS if any(row["run"] == run for row in rows)]
     figure, panels = plt.subplots(
-        1, len(runs), figsize=(4.2 * len(runs), 3.6), layout="constrained", squeeze=False
+        1, len(runs), figsize=(style.TWO_COLUMNS, 2.6), layout="constrained", squeeze=False
     )
     for run, axes in zip(runs, panels[0], strict=True):
-        for line, (label, value, style) in (*LINES.items(), DRAWN):
+        for line, (label, value, colour, look) in (*LINES.items(), DRAWN):
             own = [row for row in rows if (row["run"], row["line"]) == (run, line) and row[value]]
             # What is known before any episode stands left of the first.
             episodes = np.maximum([float(row["episodes"]) for row in own], 0.5)
             mean, half = (
                 np.array([float(row[n]) for row in own]) for n in (value, f"{value}_half")
             )
-            axes.plot(episodes, mean, style, ms=3, label=label)
-            axes.fill_between(episodes, mean - half, mean + half, color=style[0], alpha=0.12, lw=0)
+            axes.plot(episodes, mean, look, color=colour, ms=2.5, label=label)
+            axes.fill_between(episodes, mean - half, mean + half, color=colour, alpha=0.12, lw=0)
         for row in rows:
             if (row["run"], row["line"]) == (run, "ceiling"):
                 best = float(row["deployed"])
-                axes.axhline(best, color="k", ls=":", label="best latent in hindsight")
+                axes.axhline(best, color=style.DARK_GREY, ls=":", label="best latent in hindsight")
         axes.set(xscale="log", xlabel="episodes in the new task", title=run)
         axes.set_xticks([0.5, 1, 5, 20, 100, 500], ["0", "1", "5", "20", "100", "500"])
     panels[0, 0].set_ylabel("return")
-    panels[0, -1].legend(frameon=False, fontsize=7)
+    labels = panels[0, -1].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=4)
     return figure
 
 
@@ -165,13 +170,14 @@ def main(settings: Settings) -> None:
     """Draw the figures."""
     settings.out.mkdir(parents=True, exist_ok=True)
     found = search(settings)
-    figures = {"beliefs": draw_beliefs(found), "trajectories": draw_trajectories(found)}
-    if settings.curves is not None:
-        figures["returns"] = draw_returns(settings.curves)
-    for name, figure in figures.items():
-        path = settings.out / f"search-{name}.png"
-        figure.savefig(path, dpi=110)
-        print(path)
+    with style.publication_style():
+        figures = {"beliefs": draw_beliefs(found), "trajectories": draw_trajectories(found)}
+        if settings.curves is not None:
+            figures["returns"] = draw_returns(settings.curves)
+        for name, figure in figures.items():
+            path = settings.out / f"search-{name}.png"
+            figure.savefig(path)
+            print(path)
 
 
 if __name__ == "__main__":

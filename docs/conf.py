@@ -36,6 +36,8 @@ napoleon_numpy_docstring = False
 suppress_warnings = ["myst.header"]  # tables that a program has written begin at any level
 
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_extra_path = ["site"]  # the first page, which leads to `docs/index.html`
 html_title = f"maesn {release}"
 html_show_sourcelink = False

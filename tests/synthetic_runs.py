@@ -12,11 +12,13 @@ import numpy as np
 from maesn.reporting.comparison import Line
 from maesn.reporting.reading import COLUMNS, EXPLORE, MEASURES, AdaptationTable, stack_seeds
 from maesn.reporting.runs import (
+    BELIEF,
     LATENT_PATHS,
     SEARCHES,
     LatentPaths,
     Latents,
     LearningCurve,
+    RecordedBelief,
     RecordedExploration,
     RecordedRun,
     RecordedSearches,
@@ -168,7 +170,7 @@ def write_exploration(path: Path, content: RecordedExploration) -> None:
 
 
 def write_explorer(directory: Path) -> None:
-    """Write paths that lead where the latent points, and searches that find that out."""
+    """Write paths that lead where the latent points, searches and a belief that find that out."""
     draw = np.random.default_rng(0)
     axis = np.linspace(-3.0, 3.0, 5)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -187,7 +189,18 @@ def write_explorer(directory: Path) -> None:
         interval=np.sort(draw.uniform(-300.0, -200.0, (2, 4, 2)), axis=-1),
         familiar=np.linspace(0.7, 1.0, 8).reshape(2, 4),
     )
+    sure = np.linspace(0.0, 1.0, 7)[:, None]
+    belief = RecordedBelief(
+        task=1,
+        step=np.arange(7.0),
+        mean=2.0 * sure * np.array([1.0, -1.0]),
+        std=1.0 - 0.9 * sure * np.ones(2),
+        predicted=0.5 + sure[..., None] * np.linspace(-0.5, 0.5, 16).reshape(4, 4),
+        corners=np.array([[-2.0, -1.0], [2.0, 3.0]]),
+        paths=np.cumsum(draw.normal(size=(2, 4, 2)), axis=1),
+    )
     (directory / "figures").mkdir(exist_ok=True)
+    np.savez(directory / BELIEF, **vars(belief))
     np.savez(directory / LATENT_PATHS, **vars(LatentPaths(points, paths)))
     np.savez(directory / SEARCHES, **vars(searches))
 

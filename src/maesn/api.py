@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from maesn.envs import RewardKind, TaskFamily
 from maesn.evaluation import arguments, running
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
-from maesn.evaluation.exploration import record_exploration, record_explorer
+from maesn.evaluation.exploration import record_belief, record_exploration, record_explorer
 from maesn.evaluation.exporting import export_run
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
@@ -229,8 +229,8 @@ def report(
     reward where no table of it is there yet. All tables that are there are drawn as they are: after
     more training, `adapt` renews them. For a study, or a directory with several, nothing is played.
 
-    Beside the figures goes `report.html`, a page that lets you move through the latents and watch a
-    search. It needs no network; to write it needs the extra `page`.
+    Beside the figures goes `report.html`, a page that lets you move through the latents, watch a
+    search, or watch the belief of a method that holds one. It needs no network.
 
     Args:
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
@@ -266,6 +266,7 @@ def report(
         if run.env().planar:
             record_exploration(run, run.directory / EXPLORATION)
             record_explorer(run)
+            record_belief(run)
     directories = [run.directory for run in opened]
     folder = page.parent if page else Path(out or directories[0] / "figures")
     reported = _report(compare_runs(directories), folder, page or folder / PAGE)

@@ -57,7 +57,9 @@ def test_the_page_opens_without_errors_and_fits(
     browser: Browser, request: pytest.FixtureRequest, name: str, scheme: str, width: int
 ) -> None:
     opened = Opened(browser, request.getfixturevalue(name), width, scheme)
-    opened.page.wait_for_selector(".chart .main-svg")
+    opened.page.wait_for_selector(".chart")
+    widths = "[...document.querySelectorAll('img.chart')].map((one) => one.naturalWidth)"
+    assert min(opened.page.evaluate(widths)) > 0  # every chart is an image that can be read
     assert opened.said == []
     assert opened.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert opened.page.evaluate("document.documentElement.dataset.theme") == scheme
@@ -68,7 +70,7 @@ def test_the_point_is_moved_by_pointer_keys_and_tasks(browser: Browser, of_run: 
     opened = Opened(browser, of_run)
     page, handle = opened.page, opened.page.locator("#handle")
     assert "z = (0.0, 0.0) leads to (0.0 m, 0.0 m)" in opened.text("#explorer-said")
-    plane = page.locator(".plane").first.bounding_box()
+    plane = page.locator(".plane .frame").first.bounding_box()
     assert plane is not None
     # From the middle to the middle of the upper right quarter: the latent leads where it points.
     page.mouse.move(plane["x"] + plane["width"] / 2, plane["y"] + plane["height"] / 2)
@@ -91,23 +93,35 @@ def test_the_point_is_moved_by_pointer_keys_and_tasks(browser: Browser, of_run: 
 def test_a_search_is_watched(browser: Browser, of_run: Path) -> None:
     opened = Opened(browser, of_run)
     page = opened.page
-    assert opened.text("#search-said").startswith("Before any episode. Next it tries z = (")
-    page.locator("#search-episode").focus()
-    page.keyboard.press("ArrowRight")
-    page.keyboard.press("ArrowRight")
+    # It opens with the first episode that reaches the goal.
     assert opened.text("#search-said").startswith("Episode 2 returns −250.5 and reaches the goal.")
     assert page.locator(".played").count() == 2
-    before = page.locator(".plane rect").first.get_attribute("fill")
+    cell = page.locator("#search-plane rect[fill]").first
+    before = cell.get_attribute("fill")
     page.select_option("#search-kind", "std")
-    assert page.locator(".plane rect").first.get_attribute("fill") != before
+    assert cell.get_attribute("fill") != before
+    page.locator("#search-slider").focus()
+    page.keyboard.press("Home")
+    said = opened.text("#search-said")
+    assert said.startswith("Before any episode. ")
+    assert " Next it tries z = (" in said
     page.select_option("#search-task", "1")
-    assert opened.text("#search-said").startswith("Before any episode.")
     page.click("#search-play")
     page.wait_for_function(
         "document.getElementById('search-said').textContent.startsWith('Episode 3')", timeout=9000
     )
     assert "does not reach the goal." in opened.text("#search-said")
     assert opened.text("#search-play") == "Play"
+
+
+def test_a_belief_is_watched(browser: Browser, of_run: Path) -> None:
+    opened = Opened(browser, of_run)
+    assert opened.text("#belief-said").startswith("Step 3 of episode 2: the belief predicts 0.00 ")
+    opened.page.locator("#belief-slider").focus()
+    opened.page.keyboard.press("Home")
+    said = "Before any step: the belief predicts 0.50 to 0.50, and its spread is 1.00."
+    assert opened.text("#belief-said") == said
+    assert opened.said == []
 
 
 def test_the_theme_changes(browser: Browser, of_run: Path) -> None:
@@ -151,12 +165,12 @@ def test_pictures_of_a_shipped_policy(browser: Browser, tmp_path: Path) -> None:
     record_exploration(Run.open(run), run / EXPLORATION)
     record_explorer(Run.open(run))
     write_page(tmp_path / PAGE, page_of(compare_runs([run])))
-    assert (tmp_path / PAGE).stat().st_size < 6e6
+    assert (tmp_path / PAGE).stat().st_size < 1.5e6
     out = Path(os.environ.get("PICTURES") or tmp_path)
     for name, width, scheme in PICTURES:
         opened = Opened(browser, tmp_path / PAGE, width, scheme)
         opened.page.select_option("#explorer-task", "7")
-        opened.page.locator("#search-episode").fill("4")
+        opened.page.locator("#search-slider").fill("4")
         assert "Episode 4" in opened.text("#search-said")
         opened.page.screenshot(path=out / f"page-{name}.png")
         assert opened.said == []

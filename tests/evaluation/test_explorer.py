@@ -3,18 +3,25 @@
 from contextlib import closing
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.special
 from small_runs import create, tiny_maesn
 
 from maesn.evaluation import exploration
-from maesn.learners import maml
-from maesn.policies import GaussianMLP
+from maesn.learners import maml, varibad
+from maesn.learners.varibad.decoder import BeliefDecoderSettings
+from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.reporting.runs import (
+    BELIEF,
     EXPLORATION,
     LATENT_PATHS,
     SEARCHES,
     LatentPaths,
+    RecordedBelief,
     RecordedExploration,
     RecordedSearches,
     read_recorded,
@@ -23,6 +30,7 @@ from maesn.rules import SearchRule
 from maesn.runs.run import Run
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import find_prior, run_prior
+from maesn.worlds.collector import Collector
 
 
 @pytest.fixture(scope="module")
@@ -74,11 +82,59 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     assert set(np.unique(recorded.reached)) <= {0.0, 1.0}
 
 
+def test_a_belief_is_that_of_the_agent_and_predicts_cell_by_cell(tmp_path: Path) -> None:
+    """The decoder's last layer is set to a chance of its own in every cell, whatever the belief."""
+    decoder = BeliefDecoderSettings((4,), "bernoulli", (5, 5))
+    learner = varibad(policy=CategoricalMLP((4,)), decoder=decoder, meta_batch_size=4)
+    with pytest.warns(UserWarning, match="every set is all of them"):
+        made = create(tmp_path / "run", learner, family="grid_navi")
+    chances = np.random.default_rng(0).uniform(0.1, 0.9, (5, 5)).astype(np.float32)
+    state = eqx.tree_at(
+        lambda one: (
+            one.networks.decoder.reward.layers[-1].weight,
+            one.networks.decoder.reward.layers[-1].bias,
+        ),
+        made.latest_state(),
+        (jnp.zeros((4, 25)), jnp.asarray(scipy.special.logit(chances)).ravel()),
+    )
+    tasks, keys = made.task_set("test"), jax.random.split(jax.random.key(1), 2)
+    fast = learner.fast_learner(state)
+    with closing(made.world(tasks)) as world:
+        collect = Collector(world, 1)
+        states, played = exploration._play_on(fast, collect, keys, jnp.array([3, 20]), 2)
+    places = np.array([[0.0, 0.0], [3.0, 1.0], [1.3, 3.6]], np.float32)
+    belief = learner.belief(state, played, places)
+    assert belief.mean.shape == (2, 31, 5)
+    expected = chances[[0, 3, 1], [0, 1, 4]]
+    np.testing.assert_allclose(belief.predicted, np.broadcast_to(expected, (2, 31, 3)), rtol=1e-4)
+    for moment, agent in ((0, states[0]), (15, states[1]), (30, states[2])):
+        policy = state.networks.policy
+        trial = agent.trial_state
+        hidden = policy.encoder.initial()[None] if trial is None else trial.recurrent_state.hidden
+        after = jax.vmap(policy.encoder.posterior)(hidden.reshape(-1, hidden.shape[-1]))
+        found = np.stack([belief.mean[:, moment], belief.std[:, moment]])
+        np.testing.assert_allclose(
+            found, np.broadcast_to(np.stack([after.mean, after.std()]), found.shape), atol=1e-5
+        )
+    exploration.record_belief(made)
+    recorded = read_recorded(RecordedBelief, made.directory / BELIEF)
+    assert recorded is not None
+    assert recorded.predicted.shape == (31, 15, 15)
+    assert recorded.paths.shape == (2, 16, 2)
+    np.testing.assert_array_equal(recorded.corners, [[-0.5, -0.5], [4.5, 4.5]])
+    # Three by three places share a cell.
+    np.testing.assert_array_equal(
+        recorded.predicted[:, ::3, ::3], recorded.predicted[:, 2::3, 2::3]
+    )
+
+
 def test_a_run_without_latents_has_none_to_show(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
     exploration.record_explorer(made)
+    exploration.record_belief(made)
+    assert read_recorded(RecordedBelief, made.directory / BELIEF) is None
     assert read_recorded(LatentPaths, made.directory / LATENT_PATHS) is None
     assert read_recorded(RecordedSearches, made.directory / SEARCHES) is None
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)

@@ -4,11 +4,12 @@ import itertools
 import logging
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 
 from maesn.axes import TaskKeys
 from maesn.context import Latent
@@ -18,11 +19,14 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
+from maesn.learners.base import AbstractFastLearner
 from maesn.reporting.runs import (
+    BELIEF,
     LATENT_PATHS,
     RECORDED_TASKS,
     SEARCHES,
     LatentPaths,
+    RecordedBelief,
     RecordedExploration,
     RecordedSearches,
 )
@@ -46,6 +50,8 @@ _LATENTS = 441  # recorded paths: a lattice of 21 x 21 in the plane
 _BELIEFS = 21  # points along each axis at which beliefs are recorded
 _POINTS = 40  # positions kept of each path
 _TASKS, _EPISODES = 8, 10  # of the searches
+_PLACES = 15  # along each axis at which beliefs predict rewards: three a cell of `grid_navi`
+_MOMENTS = 60  # of a trial at which its belief is kept, at most
 
 
 def explore(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[np.ndarray, np.ndarray]:
@@ -133,6 +139,34 @@ def record_explorer(run: Run) -> None:
             logger.warning("no search is shown: %s", error)
 
 
+def record_belief(run: Run) -> None:
+    """Record the belief in the last test task, where a learner holds one and sees where it is."""
+    learner, state, tasks = run.learner, run.latest_state(), run.task_set(RECORDED_TASKS)
+    fast, keys = learner.fast_learner(state), jax.random.split(jax.random.key(0), 1)
+    episodes = fast.capabilities.trial_episodes
+    if episodes is None or run.env().observation_size != 2:
+        return
+    with closing(run.world(tasks, reward_kind="sparse")) as world:
+        last = jnp.array([len(tasks) - 1])
+        _, played = _play_on(fast, Collector(world, 1), keys, last, episodes)
+        goals = np.asarray(jax.vmap(world.env.goal)(tasks.tasks))
+        radius = world.env.sparse_radius
+        paths = np.concatenate([_paths(world.env, one)[0] for one in played])
+    corners = np.stack([goals.min(0) - radius, goals.max(0) + radius])
+    shares = (np.arange(_PLACES) + 0.5) / _PLACES
+    columns, rows = np.meshgrid(*(corners[0] + shares[:, None] * (corners[1] - corners[0])).T)
+    belief = learner.belief(state, played, np.stack([columns, rows], -1).reshape(-1, 2))
+    if belief is None:
+        return
+    last_step = belief.mean.shape[1] - 1
+    step = np.linspace(0, last_step, min(last_step, _MOMENTS) + 1).round()
+    mean, std, predicted = (np.asarray(x[0])[step.astype(int)] for x in belief)
+    record = RecordedBelief(
+        len(tasks) - 1, step, mean, std, predicted.reshape(-1, _PLACES, _PLACES), corners, paths
+    )
+    write_arrays(run.directory / BELIEF, vars(record))
+
+
 def spread_latents(size: int) -> np.ndarray:
     """Return latents all over the space, `[latent, z]`: a lattice, or draws where it has many axes.
 
@@ -148,11 +182,7 @@ def _searches(run: Run) -> RecordedSearches:
     """Search in the first tasks of the test set."""
     with new_tasks(run, Evaluation(rule=SearchRule(), num_tasks=_TASKS)) as (world, learner):
         collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), _TASKS)
-        states, played = [learner.init(keys)], []
-        for episode in range(_EPISODES):
-            episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, episode)
-            played.append(collect(episode_keys, learner.agents(states[-1]), jnp.arange(_TASKS)))
-            states.append(learner.update(states[-1], played[-1]))
+        states, played = _play_on(learner, collect, keys, jnp.arange(_TASKS), _EPISODES)
     episodes = jax.tree.map(lambda *batches: jnp.concatenate(batches, axis=1), *played)
     searches = list(zip(*(state.searches for state in states), strict=True))  # [task][episode]
     beliefs = np.array([[_beliefs(one) for one in task] for task in searches])
@@ -169,6 +199,22 @@ def _searches(run: Run) -> RecordedSearches:
         interval=np.array([[one.interval(one.best) for one in task] for task in searches]),
         familiar=np.array([[one.posterior.familiar for one in task] for task in searches]),
     )
+
+
+def _play_on(
+    learner: AbstractFastLearner[Any],
+    collect: Collector,
+    keys: TaskKeys,
+    tasks: Int[Array, " task"],
+    episodes: int,
+) -> tuple[list[Any], list[Episodes]]:
+    """Play and learn, one episode after the other; return states, one more, and episodes."""
+    states, played = [learner.init(keys)], []
+    for episode in range(episodes):
+        episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, episode)
+        played.append(collect(episode_keys, learner.agents(states[-1]), tasks))
+        states.append(learner.update(states[-1], played[-1]))
+    return states, played
 
 
 def _beliefs(search: LatentSearch) -> np.ndarray:

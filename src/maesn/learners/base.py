@@ -9,7 +9,7 @@ is None, or a method that refuses with a sentence, where a learner lacks it.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -83,6 +83,15 @@ class Problem(NamedTuple):
     """Control steps of an episode, at most."""
     episodes_per_task: int = 1
     """Number of episodes of each task that one call of `collect` plays."""
+
+
+class TaskBelief(NamedTuple):
+    """A Gaussian belief about the tasks of some trials, before any step and after each."""
+
+    mean: Float[Array, "trial time_plus_1 z"]
+    std: Float[Array, "trial time_plus_1 z"]
+    predicted: Float[Array, "trial time_plus_1 place"]
+    """Rewards that it expects at some places, or the chances of any."""
 
 
 class AbstractSettableLatent(eqx.Module):
@@ -233,6 +242,21 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """Return the part of a state that only more training needs, and that is large.
 
         The newest checkpoint alone holds it. By default nothing.
+        """
+        return None
+
+    def belief(
+        self,
+        state: MetaState,
+        episodes: Sequence[Episodes],
+        places: Float[ArrayLike, "place observation"],
+    ) -> TaskBelief | None:
+        """Ability: return the belief after each step of trials; None where it holds none.
+
+        Args:
+            state: after training.
+            episodes: first, second, ... of every trial, as the fast learner has played them.
+            places: observations, whose rewards the belief predicts.
         """
         return None
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,9 +10,9 @@ from jaxtyping import Float
 
 from maesn.reporting import statistics
 from maesn.reporting.comparison import Comparison, Line
-from maesn.reporting.runs import LearningCurve
+from maesn.reporting.runs import LearningCurve, RecordedBelief
 from maesn.reporting.sources import Series
-from maesn.reporting.style import DARK_GREY, MethodStyle
+from maesn.reporting.style import DARK_GREY, METHOD_STYLES, MethodStyle
 
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
@@ -103,6 +104,18 @@ def learning_charts(series: Sequence[Series]) -> dict[str, list[Chart]]:
                 for metric, y in measures.items()
             ]
     return found
+
+
+def belief_chart(belief: RecordedBelief) -> Chart:
+    """Return the posterior's mean over a trial, a line and a band of ± its spread a component."""
+    colours = [style.colour for style in METHOD_STYLES.values()]
+    curves = [
+        Curve(MethodStyle(f"m{number}", colour, "-", ""), belief.step, mean, mean - std, mean + std)
+        for number, (mean, std, colour) in enumerate(
+            zip(belief.mean.T, belief.std.T, cycle(colours)), start=1
+        )
+    ]
+    return Chart("steps of the trial", "posterior mean ± spread", curves)
 
 
 def moving_mean(

@@ -3,7 +3,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const main = document.getElementById("main");
 const VIRIDIS = ["#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725"];
-const redraws = []; // what depends on the colours of the theme
+const PHONE = innerWidth < 720; // planes stand below one another
 
 // ---- elements ---------------------------------------------------------------------------------
 
@@ -17,7 +17,7 @@ function make(name, attributes = {}, ...children) {
   node.append(...children);
   return node;
 }
-make.SVG = new Set(["svg", "g", "path", "circle", "rect", "text"]);
+make.SVG = new Set(["svg", "g", "path", "circle", "rect", "text", "title"]);
 
 function section(title, ...children) {
   const card = make("section", {}, make("h2", {}, title), ...children);
@@ -46,21 +46,35 @@ function colour(share) { // of the viridis scale
   return `rgb(${mix.join(",")})`;
 }
 
-function css(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
+function hue([x, y]) { // of a direction: cyclic, and equally light all around
+  return `oklch(0.7 0.15 ${((Math.atan2(y, x) * 180) / Math.PI).toFixed(0)})`;
+}
 
 // ---- planes -----------------------------------------------------------------------------------
 
-class Plane { // a square or rectangle of some coordinates, drawn to scale
-  constructor(low, high, label) {
-    this.low = low;
-    this.size = [high[0] - low[0], high[1] - low[1]];
-    this.width = 420;
-    this.height = Math.min(Math.max((this.width * this.size[1]) / this.size[0], 200), 520);
-    this.scale = Math.min(this.width / this.size[0], this.height / this.size[1]);
-    this.left = (this.width - this.scale * this.size[0]) / 2;
-    this.top = (this.height - this.scale * this.size[1]) / 2;
-    this.svg = make("svg", { class: "plane", viewBox: `0 0 ${this.width} ${this.height}`, role: "img", "aria-label": label });
+class Plane { // of some coordinates, drawn to scale between axes
+  constructor(low, high, label, names, width = null) { // as wide as said, or of the height of those beside it
+    const size = [0, 1].map((axis) => high[axis] - low[axis]);
+    const wanted = [size[1] / 2, size[0] / 3]; // no plane is much longer than wide
+    size.forEach((one, axis) => { size[axis] = Math.max(one, wanted[axis]); });
+    this.low = [0, 1].map((axis) => (low[axis] + high[axis] - size[axis]) / 2);
+    this.high = this.low.map((one, axis) => one + size[axis]);
+    this.width = width ?? (PHONE ? 300 : (330 * size[0]) / size[1]);
+    this.scale = this.width / size[0];
+    this.height = this.scale * size[1];
+    const [wide, high_] = [this.width + MARGIN.left + MARGIN.right, this.height + MARGIN.top + MARGIN.bottom];
+    this.svg = make("svg", { class: "plane", viewBox: `${-MARGIN.left} ${-MARGIN.top} ${wide} ${high_}`,
+      style: `flex-grow: ${wide / high_}`, role: "img", "aria-label": label });
+    this.svg.append(make("rect", { width: this.width, height: this.height, class: "frame" }));
     this.layers = {};
+    this.drawAxes(names);
+  }
+  drawAxes([across, up]) {
+    const middle = { "text-anchor": "middle" };
+    for (const x of ticks(this.low[0], this.high[0])) this.text(this.to([x, 0])[0], this.height + 16, short(x), middle);
+    for (const y of ticks(this.low[1], this.high[1])) this.text(-7, this.to([0, y])[1] + 4, short(y), { "text-anchor": "end" });
+    this.text(this.width / 2, this.height + 34, across, middle);
+    this.text(0, 0, up, { ...middle, transform: `translate(${12 - MARGIN.left} ${this.height / 2}) rotate(-90)` });
   }
   layer(name) { // its content begins anew
     if (!this.layers[name]) this.svg.append((this.layers[name] = make("g")));
@@ -68,13 +82,11 @@ class Plane { // a square or rectangle of some coordinates, drawn to scale
     return this.layers[name];
   }
   to([x, y]) {
-    return [this.left + (x - this.low[0]) * this.scale, this.height - this.top - (y - this.low[1]) * this.scale];
+    return [(x - this.low[0]) * this.scale, this.height - (y - this.low[1]) * this.scale];
   }
   from(event) {
-    const box = this.svg.getBoundingClientRect();
-    const x = ((event.clientX - box.left) / box.width) * this.width;
-    const y = ((event.clientY - box.top) / box.height) * this.height;
-    return [this.low[0] + (x - this.left) / this.scale, this.low[1] + (this.height - this.top - y) / this.scale];
+    const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
+    return [this.low[0] + point.x / this.scale, this.low[1] + (this.height - point.y) / this.scale];
   }
   circle(point, radius, attributes) {
     const [cx, cy] = this.to(point);
@@ -84,28 +96,51 @@ class Plane { // a square or rectangle of some coordinates, drawn to scale
     const corners = points.map((point) => this.to(point).map((value) => value.toFixed(1)).join(" "));
     return make("path", { d: `M${corners.join("L")}`, class: kind });
   }
-  text(x, y, words, attributes = {}) { return make("text", { x, y, ...attributes }, words); }
+  text(x, y, words, attributes = {}) { this.svg.append(make("text", { x, y, ...attributes }, words)); }
+  heat(values, [least, most], [low, high]) { // rows of numbers over a rectangle
+    const layer = this.layer("heat");
+    const [[left, bottom], [right, top]] = [this.to(low), this.to(high)];
+    const [width, height] = [(right - left) / values[0].length, (bottom - top) / values.length];
+    values.forEach((row, y) => row.forEach((value, x) => {
+      layer.append(make("rect", { x: left + x * width, y: bottom - (y + 1) * height, width: width + 0.5, height: height + 0.5,
+        fill: colour((value - least) / (most - least || 1)) }));
+    }));
+  }
+}
+const MARGIN = { left: 56, right: 8, top: 8, bottom: 42 };
+
+function ticks(low, high) {
+  const rough = (high - low) / 4;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((one) => one * power >= rough);
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, index) => (first + index) * step);
 }
 
-function bounds(points, margin) {
-  const low = [0, 1].map((axis) => Math.min(...points.map((point) => point[axis])) - margin);
-  const high = [0, 1].map((axis) => Math.max(...points.map((point) => point[axis])) + margin);
-  return [low, high];
+function short(value) { return String(Number(value.toPrecision(6))).replace("-", "−"); }
+
+function extremes(values) { // Math.min has no room for some hundred thousand arguments
+  return values.reduce(([low, high], value) => [Math.min(low, value), Math.max(high, value)], [Infinity, -Infinity]);
 }
 
-function worldPlane(paths, label) {
+function box(points) { // their corners, and a margin
+  const ends = [0, 1].map((axis) => extremes(points.map((point) => point[axis])));
+  const margin = 0.04 * Math.max(...ends.map(([low, high]) => high - low));
+  return [ends.map(([low]) => low - margin), ends.map(([, high]) => high + margin)];
+}
+
+function worldPlane(paths, label, width = null) {
   const { goals, radius } = data.plane;
   const corners = goals.flatMap(([x, y]) => [[x - radius, y - radius], [x + radius, y + radius]]);
-  const [low, high] = bounds(corners.concat(paths.flat().filter((point) => point[0] !== null)), 0);
-  const margin = 0.04 * Math.max(high[0] - low[0], high[1] - low[1]);
-  return new Plane(low.map((x) => x - margin), high.map((x) => x + margin), label);
+  const points = corners.concat(paths.flat().filter((point) => point[0] !== null));
+  return new Plane(...box(points), label, ["x (m)", "y (m)"], width);
 }
 
 function drawGoals(plane, chosen) { // all of them, or one with its region and objects
   const layer = plane.layer("goals");
   const { goals, radius, landmarks } = data.plane;
   if (chosen === null) {
-    for (const goal of goals) layer.append(plane.circle(goal, 2.5, { class: "goal" }));
+    for (const goal of goals) layer.append(plane.circle(goal, 3, { fill: hue(goal) }));
     return;
   }
   for (const place of landmarks ? landmarks[chosen] : []) {
@@ -116,26 +151,41 @@ function drawGoals(plane, chosen) { // all of them, or one with its region and o
   layer.append(plane.circle(goals[chosen], 4.5, { class: "goal" }));
 }
 
-function direction([x, y]) { // as a share of the directions in which goals lie
-  const angles = data.plane.goals.map((goal) => Math.atan2(goal[1], goal[0]));
-  const [low, high] = [Math.min(...angles), Math.max(...angles)];
-  return (Math.atan2(y, x) - low) / (high - low || 1);
-}
-
 function distance(a, b) { return Math.hypot(...a.map((value, axis) => value - b[axis])); }
 
-// Said where something is missing.
-const NO_PLANE = "The family does not say where things are in a plane, so no paths can be shown.";
-const NO_LATENTS = "This method has no latent.";
-const NO_SEARCH = "There is no prior over returns yet: `maesn prior DIR` makes it, then report again.";
+// Steps through moments: a slider, and a button that moves it.
+function player(name, most, label, pause, show) {
+  let timer = null;
+  let isFresh = true; // nobody has moved it, so playing begins at the start
+  const slider = make("input", { type: "range", id: `${name}-slider`, min: 0, max: most, step: 1, value: 0,
+    oninput: () => { isFresh = false; show(); } });
+  const button = make("button", { type: "button", id: `${name}-play`, onclick: toggle }, "Play");
+  function toggle() {
+    if (timer === null) {
+      if (isFresh || Number(slider.value) === most) slider.value = 0;
+      isFresh = false;
+      timer = setInterval(() => {
+        slider.value = Number(slider.value) + 1;
+        show();
+        if (Number(slider.value) === most) toggle();
+      }, pause);
+    } else {
+      clearInterval(timer);
+      timer = null;
+    }
+    button.textContent = timer === null ? "Play" : "Pause";
+    show();
+  }
+  const open = (moment) => { slider.value = moment; show(); };
+  return { controls: [make("label", {}, label, slider), button], now: () => Number(slider.value), open };
+}
 
 // ---- latent explorer --------------------------------------------------------------------------
 
 function explorer(found) {
-  if (!found) return section("Latent explorer", quiet(NO_LATENTS));
   const size = found.latents[0].length;
-  const edge = Math.max(...found.latents.flat().map(Math.abs));
-  const latents = new Plane([-edge * 1.06, -edge * 1.06], [edge * 1.06, edge * 1.06], "Plane of latents");
+  const edge = extremes(found.latents.flat().map(Math.abs))[1];
+  const latents = new Plane([-edge * 1.06, -edge * 1.06], [edge * 1.06, edge * 1.06], "Plane of latents", ["z₁", size > 1 ? "z₂" : ""]);
   const world = worldPlane(found.paths, "Where the chosen latent leads");
   const said = make("p", { class: "said", "aria-live": "polite", id: "explorer-said" });
   const z = Array(size).fill(0);
@@ -143,12 +193,12 @@ function explorer(found) {
 
   const dots = latents.layer("dots");
   found.latents.forEach((one, index) => {
-    const fill = colour(direction(found.paths[index].at(-1)));
-    dots.append(latents.circle([one[0], one[1] ?? 0], size > 2 ? 3 : 7, { fill, opacity: 0.45 }));
+    const fill = hue(found.paths[index].at(-1));
+    dots.append(latents.circle([one[0], one[1] ?? 0], size > 2 ? 3 : 6, { fill, opacity: 0.5 }));
   });
   latents.svg.append(latents.circle([0, 0], latents.scale, { class: "prior" }));
   const rings = found.adapted.map((one, index) => {
-    const stroke = colour(direction(data.plane.goals[index]));
+    const stroke = hue(data.plane.goals[index]);
     const ring = latents.circle([one[0], one[1] ?? 0], 5, { class: "ring", stroke });
     ring.addEventListener("pointerdown", (event) => { event.stopPropagation(); choose(index); });
     latents.svg.append(ring);
@@ -159,8 +209,6 @@ function explorer(found) {
     "aria-valuetext": "", id: "handle",
   });
   latents.svg.append(handle);
-  latents.svg.append(latents.text(latents.width - 8, latents.height - 8, "z₁ →", { "text-anchor": "end" }));
-  if (size > 1) latents.svg.append(latents.text(8, 18, "↑ z₂"));
 
   const tasks = make("select", { id: "explorer-task", onchange: () => choose(tasks.value === "" ? null : Number(tasks.value)) },
     make("option", { value: "" }, "all tasks"),
@@ -221,8 +269,8 @@ function explorer(found) {
     move([z[0] + (step[0] * edge) / 20, (z[1] ?? 0) + (step[1] * edge) / 20]);
   });
   section("Latent explorer",
-    quiet("Move the orange point: each latent z is one plan. The dashed circle is the prior's standard deviation; " +
-      "rings are the tasks' latents after adaptation, in the colour of their goal's direction."),
+    quiet("Move the orange point: each latent z is one plan, and its colour is the direction in which that plan ends. The dashed " +
+      "circle is the prior's standard deviation; rings are the latents of test tasks after adaptation, in the colours of their goals."),
     make("div", { class: "pair" }, latents.svg, world.svg), said,
     make("div", { class: "controls" }, make("label", {}, "Task", tasks), ...sliders.map(({ row }) => row)));
   show();
@@ -231,49 +279,28 @@ function explorer(found) {
 // ---- searches ---------------------------------------------------------------------------------
 
 function searches(found) {
-  if (!found) return section("Watch a search", quiet(NO_SEARCH));
+  if (!found) return section("Watch a search", quiet("There is no prior over returns yet: `maesn prior DIR` makes it, then report again."));
   const episodes = found.returns[0].length;
   const edge = found.edge;
-  const beliefs = new Plane([-edge, -edge], [edge, edge], "What the search believes of each latent");
+  const corners = [[-edge, -edge], [edge, edge]];
+  const beliefs = new Plane(...corners, "What the search believes of each latent", ["z₁", found.played[0][0].length > 1 ? "z₂" : ""]);
   const world = worldPlane(found.paths.flat(), "Where the search has been");
   const said = make("p", { class: "said", "aria-live": "polite", id: "search-said" });
-  const tasks = make("select", { id: "search-task", onchange: () => { slider.value = 0; show(); } },
+  const tasks = make("select", { id: "search-task", onchange: () => begin() },
     ...found.task.map((task, index) => make("option", { value: index }, `task ${task}`)));
   const kind = make("select", { id: "search-kind", onchange: () => show() },
     make("option", { value: "mean" }, "expected return"), make("option", { value: "std" }, "uncertainty"));
-  const slider = make("input", { type: "range", id: "search-episode", min: 0, max: episodes, step: 1, value: 0, oninput: () => show() });
-  const play = make("button", { type: "button", id: "search-play", onclick: toggle }, "Play");
-  const cells = found.mean[0][0].length;
-  const side = beliefs.width / cells;
-  let timer = null;
+  const steps = player("search", episodes, "Episodes", 900, () => show());
 
-  function toggle() {
-    if (timer === null) {
-      if (Number(slider.value) === episodes) slider.value = 0;
-      play.textContent = "Pause";
-      timer = setInterval(() => {
-        slider.value = Number(slider.value) + 1;
-        show();
-        if (Number(slider.value) === episodes) toggle();
-      }, 900);
-    } else {
-      clearInterval(timer);
-      timer = null;
-      play.textContent = "Play";
-    }
-    show();
+  function begin() { // with the first episode that finds the goal, else with the last
+    steps.open(found.reached[Number(tasks.value)].indexOf(1) + 1 || episodes);
   }
 
   function show() {
     const at = Number(tasks.value);
-    const done = Number(slider.value);
+    const done = steps.now();
     const values = found[kind.value][at];
-    const [low, high] = [Math.min(...values.flat(2)), Math.max(...values.flat(2))];
-    const heat = beliefs.layer("heat");
-    values[done].forEach((row, y) => row.forEach((value, x) => {
-      heat.append(make("rect", { x: x * side, y: beliefs.height - (y + 1) * side, width: side + 0.5, height: side + 0.5,
-        fill: colour((value - low) / (high - low || 1)) }));
-    }));
+    beliefs.heat(values[done], extremes(values.flat(2)), corners);
     const marks = beliefs.layer("marks");
     const inside = (z) => [0, 1].map((axis) => Math.min(Math.max(z[axis] ?? 0, -edge), edge));
     found.played[at].slice(0, done).forEach((z, index) => {
@@ -301,65 +328,55 @@ function searches(found) {
   section("Watch a search",
     quiet("The map: what the search expects of each latent, from dark (low) to yellow (high). Numbers are the episodes so far, " +
       "the red ring is the latent that it would deploy. The plane: where these episodes went."),
-    make("div", { class: "controls" }, make("label", {}, "Task", tasks), make("label", {}, "Show", kind),
-      make("label", {}, "Episodes", slider), play),
+    make("div", { class: "controls" }, make("label", {}, "Task", tasks), make("label", {}, "Show", kind), ...steps.controls),
     make("div", { class: "pair" }, beliefs.svg, world.svg), said);
-  show();
+  beliefs.svg.id = "search-plane";
+  begin();
+}
+
+// ---- beliefs ----------------------------------------------------------------------------------
+
+function beliefOf(found) {
+  const world = worldPlane(found.paths, "The rewards that the belief predicts");
+  const said = make("p", { class: "said", "aria-live": "polite", id: "belief-said" });
+  const duration = found.paths[0].length - 1;
+  const steps = player("belief", found.step.length - 1, "Steps", 150, () => show());
+  const all = extremes(found.predicted.flat(2));
+  drawGoals(world, found.task);
+
+  function show() {
+    const moment = steps.now();
+    const done = found.step[moment];
+    world.heat(found.predicted[moment], all, found.corners);
+    const ways = world.layer("ways");
+    const episode = Math.max(Math.ceil(done / duration) - 1, 0); // the one under way
+    found.paths.slice(0, episode + 1).forEach((path, index) => {
+      const shown = index < episode ? path : path.slice(0, done - episode * duration + 1);
+      ways.append(world.path(shown, index < episode ? "way" : "way now"));
+      if (index === episode) ways.append(world.circle(shown.at(-1), 5.5, { class: "end" }));
+    });
+    const spread = found.std[moment].reduce((sum, one) => sum + one, 0) / found.std[moment].length;
+    const [least, most] = extremes(found.predicted[moment].flat());
+    said.textContent = `${done === 0 ? "Before any step" : `Step ${done - episode * duration} of episode ${episode + 1}`}: ` +
+      `the belief predicts ${number(least, 2)} to ${number(most, 2)}, and its spread is ${number(spread, 2)}.`;
+  }
+
+  world.layers.heat ?? world.svg.insertBefore((world.layers.heat = make("g")), world.layers.goals);
+  section(`The belief in test task ${found.task}`,
+    quiet("The map: the reward, or the chance of one, that the belief predicts of each place, from dark (low) to yellow (high). " +
+      "The lines: the belief after each step, its mean and around it its spread."),
+    make("div", { class: "controls" }, ...steps.controls),
+    make("div", { class: "pair" }, world.svg, make("div", { class: "beside" }, chart(found.chart))), said);
+  steps.open(found.step.length - 1);
 }
 
 // ---- charts and tables ------------------------------------------------------------------------
 
-function chart(found) {
-  if (found.title) return make("div", {}, make("h3", {}, found.title), chart({ ...found, title: "" }));
-  const named = found.lines.filter((line) => line.dash).length;
-  const box = make("div", { class: "chart", style: `height: ${296 + 34 * Math.ceil(named / 2)}px` });
-  const shift = found.log ? 1 : 0; // a logarithmic axis has no place for 0
-  redraws.push(() => {
-    const traces = found.lines.flatMap((line) => {
-      const common = { x: line.x.map((x) => x + shift), legendgroup: line.label };
-      const edge = { ...common, mode: "lines", line: { width: 0 }, showlegend: false, hoverinfo: "skip" };
-      const band = line.low && line.low.some((value) => value !== null) ?
-        [{ ...edge, y: line.high }, { ...edge, y: line.low, fill: "tonexty", fillcolor: faint(line.colour) }] : [];
-      const colour = visible(line.colour); // published curves are circles
-      const look = line.dash ? { mode: "lines", line: { color: colour, dash: line.dash, width: 2.2 } } :
-        { mode: "markers", marker: { color: colour, symbol: "circle-open", size: 6 }, showlegend: false };
-      const hover = found.log ? { customdata: line.x, hovertemplate: `%{y}<br>${plain(found.x)}: %{customdata}` } : {};
-      return [...band, { ...common, y: line.mean, name: plain(line.label), ...look, ...hover }];
-    });
-    const drawn = layout(found.x, found.y);
-    if (found.log) {
-      const ticks = [0, 1, 10, 100, 1000, 10000];
-      Object.assign(drawn.xaxis, { type: "log", tickvals: ticks.map((x) => x + shift), ticktext: ticks });
-      drawn.hovermode = "closest";
-    }
-    Plotly.react(box, traces, drawn, { responsive: true, displaylogo: false, displayModeBar: false });
-  });
-  return box;
+function chart(found) { // as an image, an SVG can do nothing
+  return make("img", { class: "chart", src: `data:image/svg+xml,${encodeURIComponent(found.svg)}`, alt: found.about });
 }
 
-function layout(x, y) {
-  const axis = (title) => ({ title: { text: plain(title) }, gridcolor: css("--line"), zeroline: false, automargin: true });
-  return {
-    xaxis: axis(x), yaxis: axis(y), margin: { l: 60, r: 12, t: 28, b: 48 }, hovermode: "x unified",
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: css("--text"), size: 13 },
-    hoverlabel: { bgcolor: css("--card"), font: { color: css("--text") } },
-    legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
-  };
-}
-
-function plain(text) { return text.replace(/&/g, "&amp;").replace(/</g, "&lt;"); } // plotly reads some tags
-
-function isDark() { return document.documentElement.dataset.theme === "dark"; }
-
-function visible(hex) { // black and dark grey cannot be seen on a dark page
-  const light = [1, 3, 5].reduce((sum, at) => sum + parseInt(hex.slice(at, at + 2), 16), 0) / 765;
-  return isDark() && light < 0.3 ? "#d8d7d0" : hex;
-}
-
-function faint(hex) {
-  const parts = [1, 3, 5].map((at) => parseInt(visible(hex).slice(at, at + 2), 16));
-  return `rgba(${parts.join(",")},0.16)`;
-}
+function grid(items) { return make("div", { class: items.length % 2 ? "threes" : "twos" }, ...items); }
 
 function table(columns, rows, isDifferent = () => false) {
   const body = make("tbody");
@@ -387,36 +404,38 @@ function details(title, content) { return make("details", {}, make("summary", {}
 // ---- comparisons ------------------------------------------------------------------------------
 
 function scatter(lines) {
-  const box = make("div", { class: "chart" });
-  const options = () => lines.map((line, index) => make("option", { value: index }, line.label));
+  const place = make("div");
   const [across, up] = [0, Math.min(1, lines.length - 1)].map((index, axis) => {
-    const select = make("select", { class: axis ? "scatter-up" : "scatter-across", onchange: () => draw() }, ...options());
+    const options = lines.map((line, value) => make("option", { value }, line.label));
+    const select = make("select", { class: axis ? "scatter-up" : "scatter-across", onchange: () => draw() }, ...options);
     select.value = index;
     return select;
   });
   function draw() {
     const [x, y] = [across, up].map((select) => lines[Number(select.value)]);
-    const count = Math.min(x.returns.length, y.returns.length);
-    const ends = [...x.returns.slice(0, count), ...y.returns.slice(0, count)];
-    const [low, high] = [Math.min(...ends), Math.max(...ends)];
-    Plotly.react(box, [
-      { x: x.returns.slice(0, count), y: y.returns.slice(0, count), mode: "markers", showlegend: false,
-        text: Array.from({ length: count }, (_, task) => `task ${task}`), marker: { color: css("--accent"), size: 7, opacity: 0.75 } },
-      { x: [low, high], y: [low, high], mode: "lines", showlegend: false, hoverinfo: "skip", line: { color: css("--quiet"), dash: "dot", width: 1 } },
-    ], { ...layout(x.label, y.label), hovermode: "closest" }, { responsive: true, displaylogo: false, displayModeBar: false });
+    const points = x.returns.slice(0, y.returns.length).map((value, task) => [value, y.returns[task]]);
+    const [low, high] = box(extremes(points.flat()).map((value) => [value, value]));
+    const plane = new Plane(low, high, "Mean returns, task by task", [x.label, y.label], 330);
+    plane.layer("same").append(plane.path([low, high], "prior"));
+    const dots = plane.layer("dots");
+    points.forEach((point, task) => {
+      const dot = plane.circle(point, 4, { class: "dot" });
+      dot.append(make("title", {}, `task ${task}: ${point.map((value) => number(value)).join(", ")}`));
+      dots.append(dot);
+    });
+    place.replaceChildren(plane.svg);
   }
-  redraws.push(draw);
-  return [make("div", { class: "controls" }, make("label", {}, "Across", across), make("label", {}, "Up", up)), box];
+  draw();
+  return make("div", {}, make("div", { class: "controls" }, make("label", {}, "Across", across), make("label", {}, "Up", up)), place);
 }
 
 function comparison(one) {
-  const ends = [make("div", {}, make("h3", {}, "Performance profiles"), chart(one.profiles))];
-  if (one.scatter.length > 1) {
-    ends.push(make("div", {}, make("h3", {}, "Task by task: mean return of two lines"), ...scatter(one.scatter)));
-  }
-  section(one.name, quiet(one.about), make("div", { class: "many" }, ...one.charts.map(chart)),
-    ...one.tables.flatMap((found) => [make("h3", {}, found.title), table(found.headings, found.rows), quiet(found.notes.join(" "))]),
-    make("div", { class: "many" }, ...ends),
+  const [first, ...others] = one.tables.map((found) =>
+    make("div", {}, make("h3", {}, found.title), table(found.headings, found.rows), quiet(found.notes.join(" "))));
+  const pictures = one.charts.map(chart);
+  if (one.scatter.length > 1) pictures.push(scatter(one.scatter));
+  section(one.name, quiet(one.about), first, grid(pictures),
+    details("Episode by episode, and method against method", make("div", {}, ...others)),
     details("Settings of each line; those that differ come first", settings(one.settings)));
 }
 
@@ -431,34 +450,34 @@ function settings(found) { // first those that differ
 function exploration(panels) {
   const paths = panels.flatMap((panel) => panel.paths);
   const planes = panels.map((panel) => {
-    const plane = worldPlane(paths, panel.title);
+    const plane = worldPlane(paths, panel.title, 300);
     drawGoals(plane, null);
     const ways = plane.layer("ways");
     for (const path of panel.paths) ways.append(plane.path(path.filter((point) => point[0] !== null), "way"));
     for (const path of panel.paths) ways.append(plane.circle(path.at(-1), 2.5, { class: "end" }));
     return make("div", {}, make("h3", {}, panel.title), plane.svg);
   });
-  section("Before any adaptation", quiet("Paths of episodes; dots are the goals of the test tasks."), make("div", { class: "many" }, ...planes));
+  section("Before any adaptation", quiet("Paths of episodes; coloured dots are the goals of the test tasks."), grid(planes));
 }
 
 // ---- the page ---------------------------------------------------------------------------------
 
-function setTheme(theme) {
-  document.documentElement.dataset.theme = theme;
-  redraws.forEach((redraw) => redraw());
-}
+function setTheme(isDark) { document.documentElement.dataset.theme = isDark ? "dark" : "light"; }
 
 document.title = data.title;
 document.getElementById("title").textContent = data.title;
 document.getElementById("subtitle").textContent = data.subtitle;
-document.getElementById("theme").addEventListener("click", () => setTheme(isDark() ? "light" : "dark"));
-if (data.plane) {
+document.getElementById("theme").addEventListener("click", () => setTheme(document.documentElement.dataset.theme !== "dark"));
+main.append(make("div", { class: "headlines" }, ...data.headlines.map((one) =>
+  make("div", {}, make("h3", {}, one.name), make("strong", {}, one.number), make("p", { class: "quiet" }, one.text.replace(/-(?=\d)/g, "−"))))));
+if (data.plane?.explorer) {
   explorer(data.plane.explorer);
-  if (data.plane.explorer) searches(data.plane.search);
-} else if (data.plane === null) section("Latent explorer", quiet(NO_PLANE));
+  searches(data.plane.search);
+}
+if (data.plane?.belief) beliefOf(data.plane.belief);
 data.comparisons.forEach(comparison);
 if (!data.comparisons.length) section("Nothing compared yet", quiet("`maesn study run` goes on with a study, `maesn adapt DIR` tries a run in new tasks."));
-if (data.learning?.length) section("Meta-training", make("div", { class: "many" }, ...data.learning.map(chart)));
+if (data.learning?.length) section("Meta-training", grid(data.learning.map(chart)));
 if (data.plane) exploration(data.plane.panels);
 section("Provenance", details("Versions and settings, or jobs with their digests", settings(data.provenance)));
-setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+setTheme(matchMedia("(prefers-color-scheme: dark)").matches);

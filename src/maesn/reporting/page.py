@@ -1,7 +1,6 @@
 """The report page: one HTML file that shows runs or a study, and needs no network."""
 
 import json
-import logging
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -10,17 +9,22 @@ from typing import Any
 import numpy as np
 
 from maesn.reporting import runs as records
-from maesn.reporting.charts import Chart, Curve, adaptation_charts, learning_charts, profile_chart
-from maesn.reporting.comparison import Comparison
+from maesn.reporting.charts import (
+    Chart,
+    adaptation_charts,
+    belief_chart,
+    learning_charts,
+    profile_chart,
+)
+from maesn.reporting.comparison import Comparison, Line
+from maesn.reporting.figures.curves import plot_charts
 from maesn.reporting.reading import latents_beside, usual_table
 from maesn.reporting.runs import RecordedRun, read_recorded
 from maesn.reporting.sources import Compared, Series
-from maesn.reporting.style import LineStyle
-from maesn.reporting.tables import summary_tables
+from maesn.reporting.style import ONE_COLUMN, publication_style, rendered
+from maesn.reporting.tables import UNITS, summary_tables
 from maesn.settings import leaves
 from maesn.storage import read_json, write_whole
-
-logger = logging.getLogger(__name__)
 
 Document = dict[str, Any]
 
@@ -30,20 +34,11 @@ _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
 
 
 def write_page(path: Path, document: Document) -> list[Path]:
-    """Write a document of `page_of` as one HTML file, and return what was written.
-
-    Without plotly that is nothing, and a warning says so.
-    """
+    """Write a document of `page_of` as one HTML file, and return what was written."""
     own, text = files("maesn.reporting"), json.dumps(document, allow_nan=False)
-    try:
-        plotly = files("plotly") / "package_data" / "plotly.min.js"
-    except ModuleNotFoundError:
-        logger.warning("no page is written: plotly is missing. pip install -e '.[page]'.")
-        return []
     page = own.joinpath("page.html").read_text("utf-8")
     for name, content in {
         "style": own.joinpath("page.css").read_text("utf-8"),
-        "plotly": plotly.read_text("utf-8"),
         "data": text.replace("<", "\\u003c"),  # no text can end the element, or begin a comment
         "program": own.joinpath("page.js").read_text("utf-8"),
     }.items():
@@ -58,7 +53,14 @@ def page_of(study: Compared) -> Document:
     The latents and paths of runs are those of the first run that has recorded them. A `RunError`
     says which file is missing or broken.
     """
-    document = {"comparisons": [_comparison(one, study.series) for one in study.comparisons]}
+    # Of a study the best line alone: it may have many.
+    headlines = [
+        _headline(line, one)
+        for one in study.comparisons
+        for line in (one.lines if study.series else [max(one.lines, key=_last_return)])
+    ]
+    compared = [_comparison(one, study.series) for one in study.comparisons]
+    document = {"headlines": headlines, "comparisons": compared}
     if study.series:
         return document | _of_runs(study.series)
     names = ", ".join(one.name for one in study.comparisons) or "nothing compared yet"
@@ -69,16 +71,35 @@ def page_of(study: Compared) -> Document:
     return document | {"title": title, "subtitle": names, "provenance": provenance}
 
 
+def _last_return(line: Line) -> float:
+    return float(line.column(-1).mean())
+
+
+def _headline(line: Line, comparison: Comparison) -> Document:
+    """Return how a line begins and ends: a number, and words."""
+    (before, after), (first, last) = (
+        [UNITS[name].number(line.column(at, name).mean()) for at in (0, -1)]
+        for name in ("success_rate", "mean_return")
+    )
+    learned = f"after {line.table.episodes[-1]} episodes in the new task"
+    return {
+        "number": f"{after} %",
+        "name": f"{line.label}, {comparison.family}",
+        "text": f"of the episodes reach the goal {learned}, {before} % at first; "
+        f"the mean return goes from {first} to {last}",
+    }
+
+
 def _of_runs(series: Sequence[Series]) -> Document:
     runs = [run for one in series for run in one.runs]
-    shown = next((run for run in runs if (run.path / records.LATENT_PATHS).exists()), runs[0])
+    shown = next((run for run in runs if (run.path / records.EXPLORATION).exists()), runs[0])
     names = [run.path.resolve().name for run in runs]
-    learning = [_chart(one) for charts in learning_charts(series).values() for one in charts]
+    charts = [chart for charts in learning_charts(series).values() for chart in charts]
     return {
         "title": f"{' and '.join(one.style.label for one in series)} on {shown.family}",
         "subtitle": ", ".join(names),
         "plane": _plane(shown),
-        "learning": [chart for chart in learning if chart["lines"]],
+        "learning": [_chart(one) for one in charts if _is_known(one)],
         "provenance": _settings(names, [leaves(read_json(x.path / "config.json")) for x in runs]),
     }
 
@@ -92,8 +113,7 @@ def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
     return {
         "name": comparison.name,
         "about": about,
-        "charts": [_chart(one) for one in adaptation_charts(comparison)],
-        "profiles": _chart(profile_chart(comparison)),
+        "charts": [*map(_chart, [*adaptation_charts(comparison), profile_chart(comparison)])],
         "tables": [table._asdict() for table in summary_tables(comparison)],
         "scatter": [
             {"label": line.label, "returns": rounded(line.column(-1).mean(axis=0))}
@@ -103,25 +123,18 @@ def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
     }
 
 
+def _is_known(chart: Chart) -> bool:
+    """Whether there is anything to draw: a method may have no such number."""
+    return any(np.isfinite(np.asarray(curve.mean, float)).any() for curve in chart.curves)
+
+
 def _chart(chart: Chart) -> Document:
-    shown = [curve for curve in chart.curves if np.isfinite(np.asarray(curve.mean, float)).any()]
-    lines = [_line(curve) for curve in shown]
-    about = {"title": chart.title, "x": chart.x, "y": chart.y, "log": chart.linear_to is not None}
-    return about | {"lines": lines}
-
-
-def _line(curve: Curve) -> Document:
-    style = curve.style
-    look = {"label": style.label, "colour": style.colour, "dash": _dash(style.line)}
-    columns = {name: getattr(curve, name) for name in ("x", "mean", "low", "high")}
-    return look | {name: rounded(column) for name, column in columns.items()}
-
-
-def _dash(line: LineStyle) -> str:
-    """Return Matplotlib's dash in plotly's words; nothing for circles without a line."""
-    if isinstance(line, str):
-        return {":": "dot", "--": "dash", "-.": "dashdot", "-": "solid"}.get(line, "")
-    return ",".join(f"{3 * length:g}px" for length in line[1])
+    """Return a chart as SVG, and what it shows in words."""
+    lines = ", ".join(curve.style.label for curve in chart.curves)
+    with publication_style():
+        figure = plot_charts([chart], width=ONE_COLUMN)
+        picture = rendered(figure, "svg").decode()
+    return {"svg": picture, "about": f"{chart.title} {chart.y} over {chart.x}: {lines}".strip()}
 
 
 def _plane(run: RecordedRun) -> Document | None:
@@ -131,7 +144,7 @@ def _plane(run: RecordedRun) -> Document | None:
         return None
     times = np.linspace(0, explored.prior_paths.shape[1] - 1, _SHOWN_POINTS).round().astype(int)
     panels = {
-        "trained, z drawn": explored.prior_paths,
+        "trained" if explored.fixed_paths is None else "trained, z drawn": explored.prior_paths,
         "trained, z fixed": explored.fixed_paths,
         "untrained": explored.untrained_paths,
     }
@@ -140,12 +153,14 @@ def _plane(run: RecordedRun) -> Document | None:
     ends = rounded(adapted.mean[:, -1]) if adapted else []
     paths = read_recorded(records.LatentPaths, run.path / records.LATENT_PATHS)
     searches = read_recorded(records.RecordedSearches, run.path / records.SEARCHES)
+    belief = read_recorded(records.RecordedBelief, run.path / records.BELIEF)
     return {
         "goals": rounded(explored.goals),
         "radius": explored.sparse_radius,
         "landmarks": rounded(explored.landmarks),
         "explorer": paths and {"adapted": ends, **_numbers(paths)},
         "search": searches and _numbers(searches),
+        "belief": belief and {"chart": _chart(belief_chart(belief)), **_numbers(belief)},
         "panels": [
             {"title": title, "paths": rounded(paths[:_SHOWN_EPISODES, times])}
             for title, paths in panels.items()

@@ -14,7 +14,8 @@ from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 EXPLORATION = Path("figures") / "exploration.npz"
 LATENT_PATHS = Path("figures") / "latent-paths.npz"
 SEARCHES = Path("figures") / "searches.npz"
-RECORDED_TASKS = "test"  # the task set of all three
+BELIEF = Path("figures") / "belief.npz"
+RECORDED_TASKS = "test"  # the task set of all four
 
 Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -131,6 +132,22 @@ class RecordedSearches:
     interval: Float[np.ndarray, "task episode_plus_1 2"]
     # Posterior probability that the task is like one of the training tasks.
     familiar: Float[np.ndarray, "task episode_plus_1"]
+
+
+@dataclass(frozen=True)
+class RecordedBelief:
+    """The belief about one new task over a trial, and the rewards that it predicts.
+
+    Predictions cover a rectangle of the plane, between two corners.
+    """
+
+    task: int  # its index
+    step: Float[np.ndarray, " moment"]  # steps of the trial so far, at most so many moments
+    mean: Float[np.ndarray, "moment z"]
+    std: Float[np.ndarray, "moment z"]
+    predicted: Float[np.ndarray, "moment row column"]
+    corners: Float[np.ndarray, "2 2"]  # lower left and upper right
+    paths: Float[np.ndarray, "episode time_plus_1 2"]
 
 
 def read_recorded(kind: type[Record], file: Path) -> Record | None:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import matplotlib.style
 from matplotlib.figure import Figure
@@ -119,8 +119,13 @@ def save_figure(drawn: Drawn, directory: Path, name: str) -> list[Path]:
     with publication_style():
         settle(drawn.figure)
         for file in files:
-            content = io.BytesIO()
-            undated = {"CreationDate": None} if file.suffix == ".pdf" else None
-            drawn.figure.savefig(content, format=file.suffix[1:], metadata=undated)
-            write_whole(file, content.getvalue())
+            write_whole(file, rendered(drawn.figure, file.suffix[1:]))
     return files
+
+
+def rendered(figure: Figure, kind: str) -> bytes:
+    """Return a settled figure as `png`, `pdf` or `svg`."""
+    content = io.BytesIO()
+    undated: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    figure.savefig(content, format=kind, metadata=undated.get(kind), transparent=kind == "svg")
+    return content.getvalue()

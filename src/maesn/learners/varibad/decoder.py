@@ -88,6 +88,20 @@ class BeliefDecoderSettings(eqx.Module):
             :, 0
         ]
 
+    def expected(
+        self,
+        decoder: Decoder,
+        places: Float[Array, "place observation"],
+        action_size: int,
+        m: Float[Array, " m"],
+    ) -> Float[Array, " place"]:
+        """Return the rewards of staying at places, or the chances that they are positive."""
+        number = len(places)
+        nothing = jnp.zeros((number, action_size))
+        stays = Steps(places, nothing, jnp.zeros(number), places, jnp.ones(number, bool))
+        predicted = self.rewards(decoder, m, stays)
+        return jax.nn.sigmoid(predicted) if self.likelihood == "bernoulli" else predicted
+
     def _cell(self, observation: Float[Array, "step observation"]) -> Int[Array, " step"]:
         index = tuple(jnp.round(observation).astype(int).T)
         return jnp.ravel_multi_index(index, self.cells, mode="clip")

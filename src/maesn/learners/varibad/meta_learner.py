@@ -5,18 +5,21 @@ over a latent, which a decoder predicts rewards from. The policy sees the poster
 spread, and learns on whole trials what it is worth to find out. With a bonus it is HyperX.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import ActionKind, Key, ObservedReward
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.base import AbstractMetaLearner, Problem
+from maesn.learners.base import AbstractMetaLearner, Problem, TaskBelief
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.trial_learner import RecurrentFastLearner
@@ -46,6 +49,7 @@ from maesn.settings import check_choice
 PUBLISHED_DESCENT = MinibatchDescent(learning_rate=7e-4, epochs=2, minibatches=4)
 # Bytes that the buffer of trials takes at most. The newest checkpoint holds it.
 MOST_BUFFER_BYTES = 150_000_000
+_DRAWS = 64  # of m, whose predictions a belief averages
 
 
 class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
@@ -124,6 +128,24 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
 
     def replay(self, state: VaribadState) -> TrialBuffer:
         return state.buffer
+
+    def belief(
+        self,
+        state: VaribadState,
+        episodes: Sequence[Episodes],
+        places: Float[ArrayLike, "place observation"],
+    ) -> TaskBelief:
+        policy, decoder = state.networks.policy, state.networks.decoder
+        belief = jax.vmap(policy.encoder.posteriors)(steps_of(episodes))
+        noise = jax.random.normal(jax.random.key(0), (_DRAWS, self.encoder.latent_size))
+        actions = episodes[0].action.shape[-1]
+
+        def predicted(mean: Array, std: Array) -> Array:
+            expected = partial(self.decoder.expected, decoder, jnp.asarray(places), actions)
+            return jax.vmap(lambda one: expected(mean + std * one))(noise).mean(0)
+
+        std = belief.std()
+        return TaskBelief(belief.mean, std, jax.vmap(jax.vmap(predicted))(belief.mean, std))
 
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task

@@ -21,6 +21,7 @@ from maesn.reporting.comparison import Comparison, note_on_judging
 from maesn.reporting.style import Drawn
 
 _COLUMNS = 3  # in a legend
+_SHORT = 22  # characters of a label, two of which stand side by side in one column of a page
 
 
 def plot_curves(comparison: Comparison) -> Drawn:
@@ -76,11 +77,15 @@ def plot_ends(comparison: Comparison) -> Drawn:
 
 
 @style.publication_style()
-def plot_charts(charts: Sequence[Chart], title: str = "") -> Figure:
+def plot_charts(
+    charts: Sequence[Chart], title: str = "", width: float = style.TWO_COLUMNS
+) -> Figure:
     """Draw charts side by side, with a common legend below; those of one measure share its axis."""
     curves = {curve.style.label: curve for chart in charts for curve in chart.curves}
-    named = sum(bool(curve.style.line) for curve in curves.values())
-    figure = style.new_figure(style.TWO_COLUMNS, 2.2 + 0.15 * -(-named // _COLUMNS))
+    named = [label for label, curve in curves.items() if curve.style.line]
+    is_short = max(map(len, named), default=0) < _SHORT
+    columns = _COLUMNS if width > style.ONE_COLUMN else 1 + is_short
+    figure = style.new_figure(width, 2.2 + 0.15 * -(-len(named) // columns))
     panels = figure.subplots(1, len(charts), squeeze=False)[0].tolist()
     measures: dict[str, Axes] = {}
     for axes, chart in zip(panels, charts, strict=True):
@@ -106,7 +111,7 @@ def plot_charts(charts: Sequence[Chart], title: str = "") -> Figure:
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         known |= zip(labels, handles, strict=True)
-    figure.legend(known.values(), known.keys(), loc="outside lower center", ncols=_COLUMNS)
+    figure.legend(known.values(), known.keys(), loc="outside lower center", ncols=columns)
     return figure
 
 
