@@ -68,6 +68,15 @@ def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
     return np.asarray(scipy.stats.trim_mean(x.reshape(*x.shape[:-2], -1), 0.25, axis=-1))
 
 
+def cvar(x: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean over each seed's worst tenth of tasks, its conditional value at risk.
+
+    (Greenberg et al., "Train hard, fight easy: robust meta reinforcement learning", NeurIPS 2023)
+    """
+    worst = np.sort(x, axis=-1)[..., : max(x.shape[-1] // 10, 1)]
+    return np.asarray(worst.mean((-2, -1)))
+
+
 def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
     """Return the probability that x is better than y in a task. Larger values are better.
 

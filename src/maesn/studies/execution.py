@@ -8,7 +8,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -135,6 +135,16 @@ class Execution:
         if (folder / FAILED).exists():
             return "failed", str(read_json(folder / FAILED)["error"])
         return "waiting", ""
+
+    def hours_left(self, names: Iterable[str]) -> float:
+        """Return the estimate for jobs and all that they need, as far as they are not done."""
+        done = {name: found for name in self.jobs if (found := self.done(name)) is not None}
+        wanted, found = [*names], set[str]()
+        while wanted:
+            if (name := wanted.pop()) not in found and name not in done:
+                found.add(name)
+                wanted += self.jobs[name].needs
+        return sum(_estimate(self.jobs[name], done)[0] for name in found) / 3600
 
     def left(self, workers: int) -> str:
         """Return a sentence with an estimate of the time left, and what it rests on."""
