@@ -19,7 +19,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule, from_text
 from maesn.runs.run import Run
-from maesn.runtime.return_model import ReturnModel, ReturnPrior, UnlikeModel
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
 from maesn.runtime.search_settings import SearchSettings
 from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner
@@ -48,12 +48,6 @@ class Line:
     """What a control puts in the place of the model of returns."""
     prior: tuple[Any, float] | None = None
     """Reward, and radius as a share of that of the test, that a control makes its prior with."""
-
-
-def stationary(model: ReturnModel, settings: SearchSettings) -> UnlikeModel:
-    """Return one Gaussian process: the mean over training tasks, and a stationary kernel alone."""
-    unlike = model.unlike()
-    return dataclasses.replace(unlike, base=model, length_scale=settings.length_scale)
 
 
 def permuted(model: ReturnModel, settings: SearchSettings) -> ReturnModel:

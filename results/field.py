@@ -38,7 +38,6 @@ LINE += ("training", "iteration", "hours_left")  # seconds, seconds, hours
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
-FEWEST_TASKS = 50  # of which a tenth is worth a mean
 # Lines of the figure -> their looks.
 SHOWN = {
     "maesn-random": MethodStyle("random latents", style.GREY, ":", ""),
@@ -219,7 +218,7 @@ def _row(entry: Entry) -> tuple[str, ...]:
     few = ["", ""]
     if last is not None:
         few[0] = UNITS["success_rate"].number(last.success.mean())
-        if last.returns.shape[1] >= FEWEST_TASKS:
+        if last.returns.shape[1] >= statistics.FEWEST_TASKS:
             few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
     first, done = entry.seeds[0], entry.done or entry.seeds
     is_drawn = done[0]["purpose"] == EXPLORE and first["kind"] != FLOOR

@@ -17,6 +17,7 @@ from jaxtyping import Float
 CONFIDENCE = 0.95
 FEWEST_SEEDS = 3  # fewer do not tell how seeds differ
 INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks, and over seeds if three or more"
+FEWEST_TASKS = 50  # fewer do not tell how the worst tenth of tasks fares
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
 _BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB

@@ -16,7 +16,8 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.rules.search import SearchRule
-from maesn.search import SearchFastLearner, SearchSettings, latent_of
+from maesn.runtime.return_model import ReturnPrior, UnlikeModel
+from maesn.search import SearchSettings, latent_of
 
 
 class StationaryRule(SearchRule):
@@ -31,11 +32,9 @@ class StationaryRule(SearchRule):
     def label(self) -> str:
         return "stationary process"
 
-    def fast_learner(self, trained: Trained, env: AnyEnv) -> SearchFastLearner:
-        learner = super().fast_learner(trained, env)
-        scale = self.settings.length_scale
-        alike = replace(learner.model.unlike(), base=learner.model, length_scale=scale)
-        return replace(learner, model=alike)
+    def model(self, prior: ReturnPrior) -> UnlikeModel:
+        known = self.settings.model(prior)
+        return replace(known.unlike(), base=known, length_scale=self.settings.length_scale)
 
 
 class RandomRule(AbstractRule):

@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 from maesn.envs import AnyEnv
 from maesn.learners import AbstractFastLearner
 from maesn.rules.base import AbstractRule, Budget, Trained
+from maesn.runtime.return_model import ReturnModel, ReturnPrior, UnlikeModel
 from maesn.search import SearchFastLearner, SearchSettings, latent_of
 
 
@@ -38,5 +39,9 @@ class SearchRule(AbstractRule):
         latent = latent_of(trained.fast_learner())
         if trained.return_prior is None:
             raise ValueError("a search needs a prior over returns, which is made of a run.")
-        model = self.settings.model(trained.return_prior(self.prior, self.any_reward))
+        model = self.model(trained.return_prior(self.prior, self.any_reward))
         return SearchFastLearner(latent, model, self.settings, trained.per_update)
+
+    def model(self, prior: ReturnPrior) -> ReturnModel | UnlikeModel:
+        """Return the model of the returns in a new task."""
+        return self.settings.model(prior)

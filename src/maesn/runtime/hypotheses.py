@@ -14,7 +14,7 @@ import numpy as np
 
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.posterior import Posterior, Reading, TaskModel, normalized
-from maesn.runtime.return_model import ReturnModel
+from maesn.runtime.return_model import ReturnModel, UnlikeModel
 
 # Components with a smaller share of the largest weight move no quantile that is shown.
 _NEGLIGIBLE = 1e-6
@@ -35,14 +35,14 @@ class Hypotheses:
     probabilities: tuple[float, ...]
 
     @staticmethod
-    def around(model: ReturnModel, familiar: float) -> "Hypotheses":
+    def around(model: ReturnModel | UnlikeModel, familiar: float) -> "Hypotheses":
         """Return all three hypotheses, or the first alone if it is certain.
 
         Args:
-            model: the model of a task like a training task.
+            model: the model of a task like a training task, or one that knows none of them.
             familiar: its probability; the other two share the rest.
         """
-        if familiar == 1.0:
+        if familiar == 1.0 or isinstance(model, UnlikeModel):
             return Hypotheses((model,), (1.0,))
         other = (1.0 - familiar) / 2.0
         return Hypotheses((model, model.shifted(), model.unlike()), (familiar, other, other))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from maesn.runtime.arrays import Arrays, FloatArray, take
 from maesn.runtime.hypotheses import Hypotheses, MixedPosterior
 from maesn.runtime.posterior import Reading
-from maesn.runtime.return_model import ReturnModel
+from maesn.runtime.return_model import ReturnModel, UnlikeModel
 from maesn.runtime.search_settings import SearchSettings
 
 # Plays of the best point before latents are drawn around it. By then the archive is explored.
@@ -44,14 +44,14 @@ class LatentSearch:
         max_norm: Euclidean norm of z beyond which no point is chosen.
     """
 
-    model: ReturnModel
+    model: ReturnModel | UnlikeModel
     settings: SearchSettings
     posterior: MixedPosterior
     added_after: tuple[int, ...] = ()
     max_norm: float = np.inf
 
     @staticmethod
-    def start(model: ReturnModel, settings: SearchSettings) -> "LatentSearch":
+    def start(model: ReturnModel | UnlikeModel, settings: SearchSettings) -> "LatentSearch":
         """Return a search that has not played yet."""
         hypotheses = Hypotheses.around(model, settings.familiar)
         return LatentSearch(model, settings, MixedPosterior.of_prior(hypotheses, model.archive))

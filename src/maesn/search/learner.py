@@ -15,7 +15,7 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.posterior import Reading
-from maesn.runtime.return_model import ReturnModel
+from maesn.runtime.return_model import ReturnModel, UnlikeModel
 from maesn.runtime.search import LatentSearch
 from maesn.runtime.search_settings import SearchSettings
 
@@ -37,7 +37,7 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
 
     steered: AbstractSettableLatent
     """The latent that the search chooses."""
-    model: ReturnModel
+    model: ReturnModel | UnlikeModel
     settings: SearchSettings
     at_once: int = 1
     """Latents that are played in a task at the same time; an update reads one episode of each."""
