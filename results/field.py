@@ -18,12 +18,13 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
 from maesn.reporting import statistics, style
 from maesn.reporting.reading import EXPLORE, read_adaptation, read_rows
 from maesn.reporting.sources import MANIFEST
-from maesn.reporting.style import METHOD_STYLES, Drawn, MethodStyle
+from maesn.reporting.style import METHOD_STYLES, MethodStyle
 from maesn.reporting.tables import UNITS, TextTable, to_page
 from maesn.storage import read_json, write_rows, write_whole
 from maesn.studies.study import Study
@@ -125,6 +126,11 @@ class Entry:
     """Episodes in the new task -> results of the seeds that are done."""
 
     @property
+    def is_floor(self) -> bool:
+        """Whether it learns nothing."""
+        return self.seeds[0]["kind"] == FLOOR
+
+    @property
     def done(self) -> list[Row]:
         """The seeds that are done."""
         return [row for row in self.seeds if not row["hours_left"]]
@@ -188,22 +194,13 @@ def table(family: str, lines: Sequence[Entry]) -> TextTable:
             same = next((one for one in rows if one[0] == row["name"]), None)
             shown = tuple(cells.get(count, "") for count in EPISODES)
             if same is None:
-                rows.append((row["name"], *shown, *[""] * 6))
+                rows.append((row["name"], *shown, *[""] * (2 + len(COSTS))))
             else:
                 merged = (new or old for new, old in zip(shown, same[1:], strict=False))
                 rows[rows.index(same)] = (row["name"], *merged, *same[len(EPISODES) + 1 :])
             if row["source"]:
                 notes[row["name"]] = f"{row['name']}: {row['source']}"
-    headings = (
-        "",
-        *map(str, EPISODES),
-        "success (%)",
-        "worst tenth",
-        "seeds",
-        "M steps",
-        "min",
-        "s",
-    )
+    headings = ("", *map(str, EPISODES), "success (%)", "worst tenth", *COSTS)
     tasks = max((cell.returns.shape[1] for one in lines for cell in one.cells.values()), default=0)
     return TextTable(f"{family}: return after so many episodes in {tasks} tasks", headings,
                      tuple(rows), tuple(notes.values()))  # fmt: skip
@@ -221,16 +218,21 @@ def _row(entry: Entry) -> tuple[str, ...]:
         if last.returns.shape[1] >= statistics.FEWEST_TASKS:
             few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
     first, done = entry.seeds[0], entry.done or entry.seeds
-    is_drawn = done[0]["purpose"] == EXPLORE and first["kind"] != FLOOR
-    more = {", floor": first["kind"] == FLOOR, ", z drawn": is_drawn}
-    label = first["label"] + "".join(text for text, is_so in more.items() if is_so)
-    label += f", by {first['protocol']}" if first["protocol"] else ""
+    label = first["label"]
+    if entry.is_floor:
+        label += ", floor"
+    elif done[0]["purpose"] == EXPLORE:
+        label += ", z drawn"
+    label += f", by {done[0]['protocol']}" if done[0]["protocol"] else ""
     return (label, *(texts.get(count, "-") for count in EPISODES), *few, *entry.costs)
 
 
 @style.publication_style()
-def figure(tables: Mapping[str, Sequence[Entry]]) -> Drawn:
-    """Draw a panel for each family that has results, with floor and ceiling."""
+def figure(tables: Mapping[str, Sequence[Entry]]) -> Figure:
+    """Draw a panel for each family that has results.
+
+    Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
+    """
     shown = {name: lines for name, lines in tables.items() if any(one.cells for one in lines)}
     rows = -(-len(shown) // _PANELS)
     drawn = style.new_figure(style.TWO_COLUMNS, 0.6 + 1.9 * rows)
@@ -246,7 +248,7 @@ def figure(tables: Mapping[str, Sequence[Entry]]) -> Drawn:
         axes.set_axis_off()
     panels[0].set_ylabel("return")
     drawn.legend(known.values(), known.keys(), loc="outside lower center", ncols=_PANELS)
-    return Drawn(drawn, [f"bands: {statistics.INTERVAL}; solid: oracle; dotted: no learning"])
+    return drawn
 
 
 def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[float]) -> None:
@@ -260,7 +262,7 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
             axes.fill_between(counts, low, high, color=look.colour, alpha=0.15, linewidth=0)
             axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
                       markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
-    still = [one.cells[0].returns.mean() for one in lines if one.seeds[0]["kind"] == FLOOR]
+    still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
     for value, line in ((max(still, default=None), ":"), (max(oracle, default=None), "-")):
         if value is not None:
             axes.axhline(value, color=style.DARK_GREY, linestyle=line, linewidth=0.8)
@@ -275,7 +277,11 @@ def main(settings: Settings) -> None:
     tables = entries()
     page = to_page([table(family, lines) for family, lines in tables.items()])
     write_whole(HERE / "table.md", page.encode())
-    print(HERE / "table.md", *style.save_figure(figure(tables), FIGURES, "field"), sep="\n")
+    with style.publication_style():
+        drawn = figure(tables)
+        style.settle(drawn)
+        drawn.savefig(FIGURES / "field.png")
+    print(HERE / "table.md", FIGURES / "field.png", sep="\n")
 
 
 if __name__ == "__main__":

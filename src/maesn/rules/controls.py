@@ -1,6 +1,7 @@
 """Controls of a search: what is left of it without the training tasks, and without any model."""
 
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
@@ -89,5 +90,5 @@ class RandomLatents(AbstractFastLearner[RandomState]):
 
     def _drawn(self, state: RandomState) -> Float[Array, "task z"]:
         keys = jax.vmap(jax.random.fold_in, (0, None))(state.keys, state.played)
-        draw = jax.vmap(lambda key: jax.random.normal(key, (self.steered.size,)))
-        return self.spread * draw(keys)
+        draw = partial(jax.random.normal, shape=(self.steered.size,))
+        return self.spread * jax.vmap(draw)(keys)
