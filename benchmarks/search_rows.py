@@ -50,13 +50,6 @@ class Line:
     """Reward, and radius as a share of that of the test, that a control makes its prior with."""
 
 
-def stationary(model: ReturnModel, settings: SearchSettings) -> ReturnModel:
-    """Return one Gaussian process: the mean over training tasks, and a stationary kernel alone."""
-    unlike = model.unlike(wider=1.0)
-    unlike.prior = model.prior
-    return unlike
-
-
 def permuted(model: ReturnModel, settings: SearchSettings) -> ReturnModel:
     """Return the model with each latent's returns permuted over tasks, independently."""
     generator = np.random.default_rng(0)

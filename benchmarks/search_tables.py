@@ -25,7 +25,6 @@ from search_rows import (
     evaluation,
     permuted,
     private_copy,
-    stationary,
     write_row,
 )
 from search_summary import summarize, write_tables
@@ -46,7 +45,7 @@ MAIN = {
 CONTROLS = {
     "discrete": Line("search residual=0"),
     "permuted": Line("search familiar=1", change=permuted),
-    "stationary": Line("search familiar=1", change=stationary),
+    "stationary": Line("stationary"),
     "thompson": Line("search acquisition=thompson"),
     "archive_alone": Line("search draws=0"),
     "half_radius": Line(prior=("sparse", 0.5)),

@@ -76,7 +76,7 @@ def test_tables_and_records_name_it(run: Run, capsys: pytest.CaptureFixture[str]
     capsys.readouterr()
     for wrong, said in {
         f"{ML1} --reward sparse": "`reward` is dense by the protocol `metaworld-ml1`, got sparse",
-        "ml2": "`protocol` must be 'metaworld-ml1', got 'ml2'",
+        "ml2": "'varibad' or 'metaworld-ml1', got 'ml2'",
     }.items():
         assert cli.run(["adapt", directory, "--protocol", *wrong.split()]) == cli.USAGE_ERROR
         assert said in capsys.readouterr().err
@@ -88,11 +88,13 @@ def test_every_protocol_is_an_evaluation(name: str, tmp_path: Path) -> None:
     assert {x: getattr(asked, x) for x in PROTOCOLS[name].settings()} == PROTOCOLS[name].settings()
     assert PROTOCOLS[name].measure in MEASURES
     assert Evaluation("validation").changed(protocol=name).tasks == "validation"
-    with pytest.raises(RunError, match=r"`num_tasks` is .* by the protocol .* got 7: leave out"):
-        Evaluation(num_tasks=7).changed(protocol=name)
+    with pytest.raises(RunError, match=r"`deploy_episodes` is .* got 7: leave out"):
+        Evaluation(deploy_episodes=7).changed(protocol=name)
     text = f"family = 'point'\nruns.maesn = {{}}\nevaluations.its = {{ protocol = '{name}' }}"
     (tmp_path / "mine.toml").write_text(text)
     assert read_study(tmp_path / "mine.toml").evaluations["its"].usual == asked
-    (tmp_path / "mine.toml").write_text(text.replace("' }", "', num_tasks = 7 }"))
-    with pytest.raises(RunError, match=r"`evaluations.its`: `num_tasks` is .* got 7: leave out"):
+    (tmp_path / "mine.toml").write_text(text.replace("' }", "', deploy_episodes = 7 }"))
+    with pytest.raises(
+        RunError, match=r"`evaluations.its`: `deploy_episodes` is .* got 7: leave out"
+    ):
         read_study(tmp_path / "mine.toml")

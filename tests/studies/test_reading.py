@@ -186,3 +186,24 @@ def test_shipped_studies_can_be_planned(name: str) -> None:
     for job in jobs.values():
         assert set(job.needs) <= done  # each behind those that it needs
         done.add(job.name)
+
+
+def test_a_family_may_be_one_of_its_variants(tmp_path: Path) -> None:
+    text = """
+        families = ["sparse_point:varibad", "sparse_point:metacure"]
+        [runs.maesn]
+        on."sparse_point:varibad".iterations = 7
+        [evaluations.its]
+        on."sparse_point:varibad".num_tasks = 3
+    """
+    jobs, comparisons = make_plan(read_study(written(tmp_path, text)))
+    assert [one.name for one in comparisons] == ["sparse_point-varibad", "sparse_point-metacure"]
+    assert [one.world["horizon"] for one in comparisons] == [100, 32]
+    lines = [line for one in comparisons for line in one.lines["lines"]]
+    assert [line.num_tasks for line in lines] == [3, 100]
+    assert sorted(job.iterations for job in jobs.values() if job.iterations) == [7, 300]
+    for line in lines:  # settings that suit the family hold on each variant
+        assert line.first.settings["learner.context.kl_weight"] == 1e-3
+    wrong = written(tmp_path, 'family = "sparse_point:pear"\nruns.maesn = {}')
+    with pytest.raises(RunError, match=r"`families`: `variant` must be .* got 'pear'"):
+        make_plan(read_study(wrong))

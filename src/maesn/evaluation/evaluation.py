@@ -64,8 +64,8 @@ class Evaluation:
     """Tasks that advance together. Memory grows with it: 25 tasks of 50 episodes of 200 steps take
     about 100 MB. What is played does not depend on it."""
     protocol: ProtocolName | None = None
-    """How others evaluate, such as metaworld-ml1: sets tasks, reward and numbers of episodes, all
-    of which are in the table's record. None: as the other settings say."""
+    """How others evaluate: maesn, pearl, varibad or metaworld-ml1 sets tasks, reward and numbers of
+    episodes, all of which are in the table's record. None: as the other settings say."""
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)

@@ -6,39 +6,79 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 from maesn.envs import RewardKind
 from maesn.settings import check_choice
 
-ProtocolName: TypeAlias = Literal["metaworld-ml1"]
+ProtocolName: TypeAlias = Literal["maesn", "pearl", "varibad", "metaworld-ml1"]
 
 
 class Protocol(NamedTuple):
     """An evaluation as a source prescribes it.
 
-    All but the last field are settings of `Evaluation`, by their names. The first two may be given
-    other values: settings are chosen on validation tasks, and a method may learn more often from
-    the same episodes.
+    All but the last two fields are settings of `Evaluation`, by their names.
     """
 
-    tasks: str
     episodes_per_update: int
     episodes: int
-    num_tasks: int
+    num_tasks: int | None
     reward: RewardKind
     deploy_episodes: int
     deploy_after: tuple[int, ...]
     measure: str
-    """The number that is reported: a column of the table."""
+    """The number that is reported, after the last episode: a column of the table."""
+    free: tuple[str, ...]
+    """Settings that may be given other values, because the source has several, or tasks may be
+    those of validation, on which settings are chosen."""
+    tasks: str = "test"
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of an evaluation."""
-        return {name: value for name, value in self._asdict().items() if name != "measure"}
+        found = self._asdict()
+        return {name: found[name] for name in found if name not in ("measure", "free")}
 
 
 PROTOCOLS: Mapping[str, Protocol] = {
+    # The paper's figures: ten updates by policy gradient, of fifty episodes or, on block pushing,
+    # of twenty; judged by the episodes that are learned from, z drawn.
+    "maesn": Protocol(
+        episodes_per_update=50,
+        episodes=500,
+        num_tasks=None,
+        reward="sparse",
+        deploy_episodes=0,
+        deploy_after=(),
+        measure="mean_return",
+        free=("tasks", "num_tasks", "episodes", "episodes_per_update"),
+    ),
+    # katerakelly/oyster, `_do_eval` in rlkit/core/rl_algorithm.py, configs/sparse-point-robot.json:
+    # twenty episodes of twenty tasks, actions without noise; the last one counts. On robots they
+    # are three, 600 steps. There z of the last episode is a draw from the posterior, here its mean.
+    "pearl": Protocol(
+        episodes_per_update=1,
+        episodes=19,
+        num_tasks=20,
+        reward="sparse",
+        deploy_episodes=1,
+        deploy_after=(),
+        measure="mean_return",
+        free=("tasks", "num_tasks", "episodes"),
+    ),
+    # lmzintgraf/varibad, `evaluate` in utils/evaluation.py: the return of each episode of a trial,
+    # actions without noise. A trial has three episodes on its point goals, four on GridNavi, two
+    # on robots; the tasks are drawn afresh.
+    "varibad": Protocol(
+        episodes_per_update=1,
+        episodes=2,
+        num_tasks=None,
+        reward="sparse",
+        deploy_episodes=1,
+        deploy_after=(),
+        measure="mean_return",
+        free=("tasks", "num_tasks", "episodes"),
+    ),
     # Farama-Foundation/Metaworld, `metalearning_evaluation` in metaworld/evaluation.py and
     # docs/evaluation/evaluation.md: one adaptation step of 10 episodes with the environment's own
     # reward, then 3 episodes for each of 40 goals; success at any step counts. It ends these
-    # episodes at success, which changes returns alone.
+    # episodes at success, which changes returns alone. A method may learn more often from the same
+    # episodes.
     "metaworld-ml1": Protocol(
-        tasks="test",
         episodes_per_update=10,
         episodes=10,
         num_tasks=40,
@@ -46,11 +86,10 @@ PROTOCOLS: Mapping[str, Protocol] = {
         deploy_episodes=3,
         deploy_after=(10,),
         measure="success_rate",
+        free=("tasks", "episodes_per_update"),
     ),
 }
 """Name -> protocol."""
-
-_FREE = ("tasks", "episodes_per_update")
 
 
 def settings_by(protocol: str | None) -> dict[str, Any]:
@@ -65,7 +104,7 @@ def check_protocol(protocol: str | None, settings: Any) -> None:
     """Refuse by ValueError settings of an evaluation that its protocol has otherwise."""
     for name, value in settings_by(protocol).items():
         found = getattr(settings, name)
-        if name not in _FREE and found != value:
+        if name not in PROTOCOLS[str(protocol)].free and found != value:
             raise ValueError(
                 f"`{name}` is {value} by the protocol `{protocol}`, got {found}: leave out one of "
                 "the two."

@@ -17,6 +17,7 @@ from jaxtyping import Float
 CONFIDENCE = 0.95
 FEWEST_SEEDS = 3  # fewer do not tell how seeds differ
 INTERVAL = f"{100 * CONFIDENCE:g} % bootstrap interval over tasks, and over seeds if three or more"
+FEWEST_TASKS = 50  # fewer do not tell how the worst tenth of tasks fares
 # The ends of a 95 % interval then move by 4 % of a standard error from one random seed to another.
 NUM_RESAMPLES = 5000
 _BATCH = 500  # resamples at a time; 5 seeds x 100 tasks then need 2 MB
@@ -66,6 +67,15 @@ def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
     NeurIPS 2021)
     """
     return np.asarray(scipy.stats.trim_mean(x.reshape(*x.shape[:-2], -1), 0.25, axis=-1))
+
+
+def cvar(x: Values) -> Float[np.ndarray, "*batch"]:
+    """Return the mean over each seed's worst tenth of tasks, its conditional value at risk.
+
+    (Greenberg et al., "Train hard, fight easy: robust meta reinforcement learning", NeurIPS 2023)
+    """
+    worst = np.sort(x, axis=-1)[..., : max(x.shape[-1] // 10, 1)]
+    return np.asarray(worst.mean((-2, -1)))
 
 
 def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:

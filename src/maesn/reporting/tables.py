@@ -149,7 +149,11 @@ def _end_in_words(line: Line) -> str:
         f"{UNITS[name].heading} {UNITS[name].text(x)}" for name, x in zip(names, means, strict=True)
     )
     done = f"after {line.table.episodes[-1]} episodes in each of {line.table.num_tasks} tasks"
-    return f"{done}: {', '.join(found)}"
+    text = f"{done}: {', '.join(found)}"
+    if line.num_tasks >= statistics.FEWEST_TASKS:
+        worst = UNITS["mean_return"].text(bootstrap(statistics.cvar, line.column(-1)))
+        text += f"; return in the worst tenth of the tasks {worst}"
+    return text
 
 
 def _by_task(table: AdaptationTable) -> TextTable:

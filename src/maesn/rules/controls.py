@@ -1,6 +1,7 @@
 """Controls of a search: what is left of it without the training tasks, and without any model."""
 
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
@@ -16,7 +17,8 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.rules.search import SearchRule
-from maesn.search import SearchFastLearner, SearchSettings, latent_of
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
+from maesn.search import SearchSettings, latent_of
 
 
 class StationaryRule(SearchRule):
@@ -31,11 +33,11 @@ class StationaryRule(SearchRule):
     def label(self) -> str:
         return "stationary process"
 
-    def fast_learner(self, trained: Trained, env: AnyEnv) -> SearchFastLearner:
-        learner = super().fast_learner(trained, env)
-        alike = learner.model.unlike(wider=1.0)
-        alike.prior = learner.model.prior  # where the goal is never near, returns are familiar
-        return replace(learner, model=alike)
+    def model(self, prior: ReturnPrior) -> ReturnModel:
+        known = self.settings.model(prior)
+        alike = known.unlike(wider=1.0)
+        alike.prior = known.prior  # where the goal is never near, returns are familiar
+        return alike
 
 
 class RandomRule(AbstractRule):
@@ -90,5 +92,5 @@ class RandomLatents(AbstractFastLearner[RandomState]):
 
     def _drawn(self, state: RandomState) -> Float[Array, "task z"]:
         keys = jax.vmap(jax.random.fold_in, (0, None))(state.keys, state.played)
-        draws = jax.vmap(jax.random.normal, (0, None))(keys, (self.steered.size,))
-        return self.spread * draws
+        draw = partial(jax.random.normal, shape=(self.steered.size,))
+        return self.spread * jax.vmap(draw)(keys)

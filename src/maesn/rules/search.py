@@ -4,6 +4,7 @@ from typing import ClassVar
 
 from maesn.envs import AnyEnv
 from maesn.rules.base import AbstractRule, Budget, Trained
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
 from maesn.search import SearchFastLearner, SearchSettings, latent_of
 
 
@@ -37,5 +38,9 @@ class SearchRule(AbstractRule):
         latent = latent_of(trained.fast_learner())
         if trained.return_prior is None:
             raise ValueError("a search needs a prior over returns, which is made of a run.")
-        model = self.settings.model(trained.return_prior(self.prior, self.any_reward))
+        model = self.model(trained.return_prior(self.prior, self.any_reward))
         return SearchFastLearner(latent, model, self.settings, trained.per_update)
+
+    def model(self, prior: ReturnPrior) -> ReturnModel:
+        """Return the model of the returns in a new task."""
+        return self.settings.model(prior)

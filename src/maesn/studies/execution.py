@@ -8,7 +8,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -25,9 +25,11 @@ ATTEMPTS = 3  # a job may fail because its process was killed
 # the speed of one thread.
 SECONDS_TO_BEGIN = 10
 STEPS_PER_SECOND = 50_000
-# How many times longer methods train on a step: PEARL takes gradient steps on small batches of its
-# replay, VariBAD and RL2 go through trials step by step, MAML differentiates through its weights.
-EFFORT = {"pearl": 33, "varibad": 4, "rl2": 2, "maml": 2}
+# How many times longer some methods train on a step: VariBAD and RL2 go through trials one step
+# after the other, MAML differentiates through its weights.
+EFFORT = {"varibad": 4, "rl2": 2, "maml": 2}
+# Seconds that PEARL takes in a meta-iteration for its gradient steps, however many steps it plays.
+GRADIENT_SECONDS = {"pearl": 2.0}
 
 
 class AbstractExecutor(ABC):
@@ -136,15 +138,29 @@ class Execution:
             return "failed", str(read_json(folder / FAILED)["error"])
         return "waiting", ""
 
+    def hours_left(self, names: Iterable[str]) -> float:
+        """Return the estimate for jobs and all that they need, as far as they are not done."""
+        done = self._found()
+        wanted, counted = [*names], set[str]()
+        while wanted:
+            if (name := wanted.pop()) not in counted and name not in done:
+                counted.add(name)
+                wanted += self.jobs[name].needs
+        return sum(self._estimate(self.jobs[name], done)[0] for name in counted) / 3600
+
+    def _found(self) -> dict[str, dict[str, Any]]:
+        """Return `done.json` of all jobs that are done, by their names."""
+        return {name: found for name in self.jobs if (found := self.done(name)) is not None}
+
     def left(self, workers: int) -> str:
         """Return a sentence with an estimate of the time left, and what it rests on."""
-        done = {name: found for name in self.jobs if (found := self.done(name)) is not None}
+        done = self._found()
         seconds, ends = 0.0, dict.fromkeys(done, 0.0)
         rests_on = dict[str, None]()
         for job in self.jobs.values():
             if job.name not in done:
                 share = 1 - job.progress(self.directory / job.name)
-                takes, basis = _estimate(job, done)
+                takes, basis = self._estimate(job, done)
                 rests_on[basis] = None
                 seconds += share * takes
                 before = (ends.get(name, 0.0) for name in job.needs)
@@ -155,23 +171,27 @@ class Execution:
         left = f"{minutes / 60:,.0f} hours" if minutes > 180 else f"{minutes} min"
         return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
 
+    def _estimate(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
+        """Return the seconds that a job takes, and what says so: jobs of its kind and family."""
+        kind = job.name.split("-")[:2]
+        like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
+        work = sum(
+            _seconds(self.jobs[name]) * one["steps"] / max(self.jobs[name].steps, 1)
+            for name, one in like.items()
+        )
+        if work:
+            seconds = sum(one["seconds"] for one in like.values())
+            return _seconds(job) * seconds / work, "what jobs of the same kind took"
+        return (
+            SECONDS_TO_BEGIN + _seconds(job),
+            f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, "
+            "as on `point` and `wheeled`, or fewer where a method learns more from each",
+        )
 
-def _estimate(job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-    """Return the seconds that a job takes, and what says so: jobs of its kind and family if any."""
-    kind = job.name.split("-")[:2]
-    like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
-    steps = sum(_effort(name) * one["steps"] for name, one in like.items())
-    if steps:
-        seconds = sum(one["seconds"] for one in like.values())
-        return _effort(job.name) * job.steps * seconds / steps, "what jobs of the same kind took"
-    return (
-        SECONDS_TO_BEGIN + _effort(job.name) * job.steps / STEPS_PER_SECOND,
-        f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, as "
-        "on `point` and `wheeled`, or fewer where a method learns more from each",
-    )
 
-
-def _effort(name: str) -> int:
-    """Return how many times longer than usual a step of a job takes."""
-    trains = name.startswith("train-")
-    return next((x for one, x in EFFORT.items() if trains and f"-{one}-seed-" in name), 1)
+def _seconds(job: Job) -> float:
+    """Return the seconds that a job takes once it has begun, by its steps and its method."""
+    of_method = (x for x in (*EFFORT, *GRADIENT_SECONDS) if f"-{x}-seed-" in job.name)
+    method = next(of_method, "") if job.iterations else ""
+    steps = EFFORT.get(method, 1) * job.steps / STEPS_PER_SECOND
+    return steps + job.iterations * GRADIENT_SECONDS.get(method, 0.0)

@@ -5,6 +5,7 @@ is done when the directory holds `done.json`, which is written last.
 """
 
 import dataclasses
+import statistics
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -19,7 +20,7 @@ from maesn.evaluation.running import held_latents
 from maesn.learners import AbstractMetaLearner
 from maesn.physics import EngineError
 from maesn.runs.config import CONFIG, RunSettings
-from maesn.runs.log import METRICS
+from maesn.runs.log import METRICS, TIMING
 from maesn.runs.run import Run
 from maesn.runs.training import train
 from maesn.search.prior import PriorSettings
@@ -79,7 +80,12 @@ def train_run(
     with closing(train(run)) as iterations:
         for _ in iterations:
             pass
-    return {"environment_steps": run.latest().environment_steps}
+    seconds = [line["seconds"] for line in storage.read_json_lines(run.directory / TIMING)]
+    return {
+        "environment_steps": run.latest().environment_steps,
+        "training_seconds": round(sum(seconds), 1),
+        "iteration_seconds": round(statistics.median(seconds), 4) if seconds else 0.0,
+    }
 
 
 def make_prior(member: TrainedRun, asked: Evaluation, directory: Path) -> dict[str, Any]:

@@ -78,7 +78,9 @@ def _seeds(
             table = _table(comparison, line, member.seed)
             _join([execution.directory / job for job in parts], directory / table)
             steps = trained[0]["environment_steps"] if trained else member.training_steps
-            seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
+            spent = trained[0] if trained else {}
+            times = {x: spent[x] for x in ("training_seconds", "iteration_seconds") if x in spent}
+            seeds.append({"seed": member.seed, "table": table, "training_steps": steps} | times)
     return seeds
 
 

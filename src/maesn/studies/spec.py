@@ -12,7 +12,7 @@ from maesn.envs import TaskFamily, Variant, split_variant
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.runs.config import RunSettings
-from maesn.settings import check_number, check_positive, suggestion
+from maesn.settings import check_choice, check_number, check_positive, suggestion
 from maesn.storage import RunError
 from maesn.worlds import EngineName
 
@@ -192,10 +192,11 @@ class StudySpec:
 
     def world(self, family: str) -> RunSettings:
         """Return what all runs have in common on a family."""
-        name, variant = split_variant(family)
+        name, own = split_variant(family)
+        check_choice("variant", variant := own or self.variant, Variant)
         return RunSettings(
             family=name,
-            variant=cast(Variant, variant or self.variant),
+            variant=cast(Variant, variant),
             engine=self.engine,
             num_threads=self.threads,
         )

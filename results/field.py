@@ -1,0 +1,288 @@
+"""The table and the figure of the field: every method on every task set, few episodes apart.
+
+    python results/field.py                                # both, of what is in results/field
+    python results/field.py --studies field field_robots   # that anew, from what these studies have
+
+`field/results.csv.gz` has the return of each seed in each task; `field/lines.csv` what the training
+of each seed took, and what the seeds that are not done would take. `field/published.csv` has
+numbers of others, and limits. The table is `field/table.md`, the figure docs/figures/field.png.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+
+from maesn.reporting import statistics, style
+from maesn.reporting.reading import EXPLORE, read_adaptation, read_rows
+from maesn.reporting.sources import MANIFEST
+from maesn.reporting.style import METHOD_STYLES, MethodStyle
+from maesn.reporting.tables import UNITS, TextTable, to_page
+from maesn.storage import read_json, write_rows, write_whole
+from maesn.studies.study import Study
+
+HERE = Path(__file__).parent / "field"
+RESULTS, LINES, PUBLISHED = (
+    HERE / name for name in ("results.csv.gz", "lines.csv", "published.csv")
+)
+RESULT = ("family", "line", "seed", "task", "episodes", "return", "success")
+LINE = ("family", "line", "label", "kind", "seed", "protocol", "purpose", "trained_for", "steps")
+LINE += ("training", "iteration", "hours_left")  # seconds, seconds, hours
+FIGURES = Path(__file__).parents[1] / "docs" / "figures"
+EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
+FEW = 20  # episodes, at most, after which success and the worst tasks are told
+# Lines of the figure -> their looks.
+SHOWN = {
+    "maesn-random": MethodStyle("random latents", style.GREY, ":", ""),
+    **{name: METHOD_STYLES[name] for name in ("maml", "pearl", "rl2", "varibad")},
+    "maesn-gradient": MethodStyle("MAESN, gradient", style.ORANGE, "--", "D"),
+    "maesn-search": MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
+}
+ORACLE, FLOOR = "oracle", "baseline"
+COSTS = ("seeds", "steps (M)", "minutes", "seconds")  # of training; of a meta-iteration
+_PANELS = 4  # in a row
+
+Row = Mapping[str, str]
+Returns = Float[np.ndarray, "seed task"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What is made anew."""
+
+    studies: tuple[str, ...] = ()
+    """Studies whose results are taken: names, or paths of files. None: what is kept."""
+    out: Path = HERE.parent
+    """Directory of the studies."""
+
+
+def collect(studies: Sequence[str], out: Path) -> None:
+    """Write the raw results of studies, and what their lines took or would take."""
+    results: list[dict[str, Any]] = []
+    lines: list[dict[str, Any]] = []
+    for study in map(Study.load, studies):
+        directory, execution = out / study.spec.name, study.execution(out)
+        manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
+        worlds = {world["name"]: world for world in manifest.get("comparisons", ())}
+        for planned, (group, of) in product(
+            study.comparisons, {"lines": "method", "baselines": FLOOR}.items()
+        ):
+            found = {line["name"]: line for line in worlds.get(planned.name, {}).get(group, ())}
+            for line in planned.lines[group]:
+                about = {"family": planned.name, "line": line.name, "label": line.label, "kind": of}
+                done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
+                for member, jobs in line.seeds:
+                    row = about | {"seed": member.seed}
+                    if (one := done.get(member.seed)) is None:
+                        lines.append(row | {"hours_left": execution.hours_left(jobs)})
+                        continue
+                    table = read_adaptation(directory / one["table"])
+                    row |= {"protocol": line.asked.protocol, "purpose": table.purpose}
+                    row |= {"trained_for": line.trial_episodes, "steps": one["training_steps"]}
+                    row |= {x: one.get(f"{x}_seconds") for x in ("training", "iteration")}
+                    lines.append(row)
+                    kept = np.flatnonzero(np.isin(table.episodes, EPISODES))
+                    results += (
+                        about
+                        | {"seed": member.seed, "task": task}
+                        | {"episodes": table.episodes[k], "return": table.mean_return[task, k]}
+                        | {"success": table.success_rate[task, k]}
+                        for task, k in product(range(table.num_tasks), kept)
+                    )
+    for path, rows, names in ((LINES, lines, LINE), (RESULTS, results, RESULT)):
+        write_rows(path, [{name: _short(row.get(name)) for name in names} for row in rows])
+
+
+def _short(value: Any) -> str:
+    if value is None:
+        return ""
+    is_whole = not isinstance(value, float | np.floating)
+    return str(value) if is_whole else f"{value:.3f}".rstrip("0").rstrip(".")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """What a line does after some episodes in the new tasks."""
+
+    returns: Returns
+    success: Returns
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A line of a table."""
+
+    seeds: Sequence[Row]
+    """Rows of `LINES`."""
+    cells: Mapping[int, Cell]
+    """Episodes in the new task -> results of the seeds that are done."""
+
+    @property
+    def is_floor(self) -> bool:
+        """Whether it learns nothing."""
+        return self.seeds[0]["kind"] == FLOOR
+
+    @property
+    def done(self) -> list[Row]:
+        """The seeds that are done."""
+        return [row for row in self.seeds if not row["hours_left"]]
+
+    @property
+    def last(self) -> Cell | None:
+        """The last of the few episodes."""
+        few = [count for count in self.cells if count <= FEW]
+        return self.cells[max(few)] if few else None
+
+    @property
+    def costs(self) -> tuple[str, ...]:
+        """Seeds, millions of steps, minutes, seconds of a meta-iteration."""
+        left = sum(float(row["hours_left"] or 0) for row in self.seeds)
+        seeds = f"{len(self.done)}" + (f" (others: {left:.1f} h)" if left else "")
+        numbers = {
+            name: np.mean([float(row[name]) for row in self.done if row[name]] or [np.nan])
+            for name in ("steps", "training", "iteration")
+        }
+        steps, training, each = numbers.values()
+        shown = f"{steps / 1e6:.2g}", f"{training / 60:.1f}", f"{each:.2f}"
+        return seeds, *("" if text == "nan" else text for text in shown)
+
+
+def entries() -> dict[str, list[Entry]]:
+    """Return the lines of each family, from the raw results."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in read_rows(LINES):
+        found.setdefault((row["family"], row["line"]), []).append(row)
+    raw: dict[tuple[str, str], list[Row]] = {}
+    for row in read_rows(RESULTS):
+        raw.setdefault((row["family"], row["line"]), []).append(row)
+    tables: dict[str, list[Entry]] = {}
+    for (family, line), seeds in found.items():
+        beyond = int(seeds[0].get("trained_for") or max(EPISODES) + 1)
+        cells = dict(_cells(raw.get((family, line), ()), beyond))
+        tables.setdefault(family, []).append(Entry(seeds, cells))
+    return tables
+
+
+def _cells(rows: Sequence[Row], beyond: int) -> Iterator[tuple[int, Cell]]:
+    """Yield the cells of rows that are in the order of seeds, tasks and episodes."""
+    if not rows:
+        return
+    counts = sorted({int(row["episodes"]) for row in rows})
+    seeds, tasks = (len({row[name] for row in rows}) for name in ("seed", "task"))
+    numbers = np.array([[row["return"], row["success"]] for row in rows], float)
+    grid = numbers.reshape(seeds, tasks, len(counts), 2)
+    for k, count in enumerate(counts):
+        if count < beyond:
+            yield count, Cell(grid[:, :, k, 0], grid[:, :, k, 1])
+
+
+def table(family: str, lines: Sequence[Entry]) -> TextTable:
+    """Return the table of a family, with limits and the numbers of others."""
+    rows = [_row(one) for one in lines]
+    notes = {}
+    for row in read_rows(PUBLISHED):
+        if row["family"] == family:
+            cells = {int(row["episodes"] or 0): row["return"] + row["spread"]}
+            same = next((one for one in rows if one[0] == row["name"]), None)
+            shown = tuple(cells.get(count, "") for count in EPISODES)
+            if same is None:
+                rows.append((row["name"], *shown, *[""] * (2 + len(COSTS))))
+            else:
+                merged = (new or old for new, old in zip(shown, same[1:], strict=False))
+                rows[rows.index(same)] = (row["name"], *merged, *same[len(EPISODES) + 1 :])
+            if row["source"]:
+                notes[row["name"]] = f"{row['name']}: {row['source']}"
+    headings = ("", *map(str, EPISODES), "success (%)", "worst tenth", *COSTS)
+    tasks = max((cell.returns.shape[1] for one in lines for cell in one.cells.values()), default=0)
+    return TextTable(f"{family}: return after so many episodes in {tasks} tasks", headings,
+                     tuple(rows), tuple(notes.values()))  # fmt: skip
+
+
+def _row(entry: Entry) -> tuple[str, ...]:
+    unit, last = UNITS["mean_return"], entry.last
+    texts = {
+        count: unit.text(statistics.bootstrap(statistics.mean, cell.returns), brief=True)
+        for count, cell in entry.cells.items()
+    }
+    few = ["", ""]
+    if last is not None:
+        few[0] = UNITS["success_rate"].number(last.success.mean())
+        if last.returns.shape[1] >= statistics.FEWEST_TASKS:
+            few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
+    first, done = entry.seeds[0], entry.done or entry.seeds
+    label = first["label"]
+    if entry.is_floor:
+        label += ", floor"
+    elif done[0]["purpose"] == EXPLORE:
+        label += ", z drawn"
+    label += f", by {done[0]['protocol']}" if done[0]["protocol"] else ""
+    return (label, *(texts.get(count, "-") for count in EPISODES), *few, *entry.costs)
+
+
+@style.publication_style()
+def figure(tables: Mapping[str, Sequence[Entry]]) -> Figure:
+    """Draw a panel for each family that has results.
+
+    Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
+    """
+    shown = {name: lines for name, lines in tables.items() if any(one.cells for one in lines)}
+    rows = -(-len(shown) // _PANELS)
+    drawn = style.new_figure(style.TWO_COLUMNS, 0.6 + 1.9 * rows)
+    panels = drawn.subplots(rows, min(len(shown), _PANELS), squeeze=False).ravel()
+    limits = [row for row in read_rows(PUBLISHED) if row["name"] == ORACLE]
+    known: dict[str, Any] = {}
+    for axes, (family, lines) in zip(panels, shown.items(), strict=False):
+        oracle = [float(row["return"]) for row in limits if row["family"] == family]
+        _draw(axes, family, lines, oracle)
+        handles, labels = axes.get_legend_handles_labels()
+        known |= zip(labels, handles, strict=True)
+    for axes in panels[len(shown) :]:
+        axes.set_axis_off()
+    panels[0].set_ylabel("return")
+    drawn.legend(known.values(), known.keys(), loc="outside lower center", ncols=_PANELS)
+    return drawn
+
+
+def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[float]) -> None:
+    for order, (name, look) in enumerate(SHOWN.items()):
+        for one in lines:
+            counts = [count for count in one.cells if count > 0]
+            if one.seeds[0]["line"] != name or not counts:
+                continue
+            values = np.stack([one.cells[count].returns for count in counts], axis=-1)
+            mean, low, high = statistics.curve(values).band
+            axes.fill_between(counts, low, high, color=look.colour, alpha=0.15, linewidth=0)
+            axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
+                      markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
+    still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
+    for value, line in ((max(still, default=None), ":"), (max(oracle, default=None), "-")):
+        if value is not None:
+            axes.axhline(value, color=style.DARK_GREY, linestyle=line, linewidth=0.8)
+    axes.set(title=family, xscale="log", xlim=(0.9, 600), xlabel="episodes")
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+
+
+def main(settings: Settings) -> None:
+    """Write the table and the figure."""
+    if settings.studies:
+        collect(settings.studies, settings.out)
+    tables = entries()
+    page = to_page([table(family, lines) for family, lines in tables.items()])
+    write_whole(HERE / "table.md", page.encode())
+    with style.publication_style():
+        drawn = figure(tables)
+        style.settle(drawn)
+        drawn.savefig(FIGURES / "field.png")
+    print(HERE / "table.md", FIGURES / "field.png", sep="\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))

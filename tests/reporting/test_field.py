@@ -1,0 +1,76 @@
+"""The table of the field: its numbers are those of the raw file, and holes stay holes."""
+
+import csv
+import gzip
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scripts import load_script
+
+from maesn.reporting import statistics
+
+COUNTS = (0, 1, 2, 3, 5, 10, 20)
+
+
+@pytest.fixture
+def field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    module = load_script("results/field.py")
+    for name in ("RESULTS", "LINES", "PUBLISHED"):
+        monkeypatch.setattr(module, name, tmp_path / getattr(module, name).name)
+    monkeypatch.setattr(module, "HERE", tmp_path)
+    monkeypatch.setattr(module, "FIGURES", tmp_path)
+    return module
+
+
+def write(field: ModuleType, returns: np.ndarray) -> None:
+    """Raw files of a search with three seeds, a memory of three episodes, and one line to do."""
+    rows = [
+        f"world,{line},{seed},{task},{COUNTS[k]},{returns[seed, task, k]},{float(task < 30)}"
+        for line, seeds in (("maesn-search", 3), ("rl2", 1))
+        for seed, task, k in np.ndindex(seeds, *returns.shape[1:])
+    ]
+    text = "\n".join([",".join(field.RESULT), *rows, ""])
+    field.RESULTS.write_bytes(gzip.compress(text.encode()))
+    done = ",deploy,{},4000000,60,0.5,"
+    lines = [f"maesn-search,MAESN,method,{seed}," + done.format("") for seed in range(3)]
+    lines += ["rl2,RL2,method,0," + done.format(3), "rl2,RL2,method,1,,,,,,,1.5"]
+    lines += ["varibad,VariBAD,method,0,,,,,,,2.25", "idle,idle,baseline,0,,deploy,,,,,"]
+    lines = [f"world,{line}" for line in lines]
+    field.LINES.write_text("\n".join([",".join(field.LINE), *lines, ""]))
+    field.PUBLISHED.write_text(
+        "family,name,episodes,return,spread,source\nworld,oracle,0,9.9,,by hand\n"
+        "world,others,1,5,,\nworld,others,20,7.8, ±0.6,another budget\nelsewhere,x,0,1,,\n"
+    )
+
+
+def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
+    returns = np.random.default_rng(0).normal(size=(3, 60, 7)).round(3)
+    write(field, returns)
+    field.main(field.Settings())
+    text = (field.HERE / "table.md").read_text()
+    head, _, *body = csv.reader(
+        (line for line in text.splitlines() if line.startswith("|")), delimiter="|"
+    )
+    found = {
+        row[1].strip(): dict(zip(map(str.strip, head), map(str.strip, row), strict=True))
+        for row in body
+    }
+    search, memory, undone, others = (found[x] for x in ("MAESN", "RL2", "VariBAD", "others"))
+    for k, count in enumerate(COUNTS):
+        shown, _, _ = search[str(count)].partition(" ")
+        assert float(shown) == pytest.approx(returns[..., k].mean(), abs=0.05)
+    worst = np.sort(returns[..., -1], axis=1)[:, :6].mean()
+    interval = statistics.bootstrap(statistics.cvar, returns[..., -1])
+    half = (interval.high - interval.low) / 2
+    assert search["worst tenth"] == f"{worst:.1f} ±{half:.1f}"
+    assert search["success (%)"] == "50.0"
+    assert (search["seeds"], search["steps (M)"], search["minutes"]) == ("3", "4", "1.0")
+    # Beyond the trials that it was trained for, a memory has no number.
+    assert [memory[str(count)] != "-" for count in COUNTS] == [True] * 3 + [False] * 4
+    assert memory["seeds"] == "1 (others: 1.5 h)"
+    assert undone["seeds"] == "0 (others: 2.2 h)"
+    assert (others["1"], others["20"]) == ("5", "7.8 ±0.6")
+    assert "others: another budget" in text
+    assert (field.HERE / "field.png").exists()
