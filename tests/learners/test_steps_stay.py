@@ -18,6 +18,7 @@ from jax.flatten_util import ravel_pytree
 from learning_problems.prepared import ACTION, LATENT, OBSERVATION, UNEQUAL, make_problem, stack
 from learning_problems.translation import experience_for
 
+from maesn.context import BiasContext
 from maesn.experience.episodes import Thinning
 from maesn.learners import (
     PRESETS,
@@ -53,7 +54,9 @@ def computed(method: str) -> dict[str, np.ndarray]:
             value=RecurrentValue(hidden_size=5, descent=MinibatchDescent(minibatches=2)),
         ))  # fmt: skip
     outer = TrustRegionOuterStep(REGION, curvature_stride=2, hessian_stride=3)
-    learner = PRESETS[method](policy=GaussianMLP((5, 4)), meta_batch_size=len(ROWS), outer=outer)
+    bias = {"context": BiasContext(LATENT)} if "bias" in method else {}
+    settings = {"policy": GaussianMLP((5, 4)), "outer": outer, **bias}
+    learner = PRESETS[method](meta_batch_size=len(ROWS), **settings)
     assert isinstance(learner, GradientMetaLearner)
     return of_gradients(learner)
 
@@ -85,7 +88,7 @@ def of_gradients(learner: GradientMetaLearner) -> dict[str, np.ndarray]:
             step_weights(objective.post.every(*outer)),
         )
         loss, gradient = objective.loss_and_gradient(parameters)
-        candidate = objective.evaluate(unravel(x + 0.01))
+        candidate = objective.evaluate(unravel(x + 1e-4))
         key = jax.random.key(1)
         moved, _, info = learner.outer(key, parameters, None, objective, updated)
         return {
