@@ -88,11 +88,10 @@ def of_gradients(learner: GradientMetaLearner) -> dict[str, np.ndarray]:
             step_weights(objective.post.every(*outer)),
         )
         loss, gradient = objective.loss_and_gradient(parameters)
-        candidate = objective.evaluate(unravel(x + 1e-4))
         key = jax.random.key(1)
         moved, _, info = learner.outer(key, parameters, None, objective, updated)
         return {
-            "loss": jnp.stack([loss, candidate.loss, candidate.kl, info.loss_after, info.kl]),
+            "loss": jnp.stack([loss, info.loss_after, info.kl]),
             "gradient": ravel_pytree(gradient)[0],
             "product": product(jnp.sin(jnp.arange(x.size))),
             "step": ravel_pytree(moved)[0] - x,
