@@ -71,12 +71,15 @@ def of_gradients(learner: GradientMetaLearner) -> dict[str, np.ndarray]:
     objective = MetaObjective(learner.context, adaptation, rows, tuple(pre), *post)
     state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, len(problem.tasks)))
     flat, unravel = ravel_pytree(state.parameters)
-    flat = flat + 0.2 * jnp.asarray(np.random.default_rng(0).normal(size=flat.shape))
+    rng = np.random.default_rng(0)
+    flat = flat + 0.2 * jnp.asarray(rng.normal(size=flat.shape))
     outer, inner = Thinning(2, 1), Thinning(3, 0)
 
     # As if these parameters had played, so that the line search can succeed.
     behaviour = eqx.filter_jit(objective.distributions)(unravel(flat), objective.post)
-    objective = replace(objective, post=replace(objective.post, behaviour=behaviour))
+    action = behaviour.sample_from_noise(rng.normal(size=behaviour.mean.shape))
+    played = replace(objective.post, behaviour=behaviour, action=action)
+    objective = replace(objective, post=played)
 
     @jax.jit
     def numbers(x: jax.Array) -> dict[str, jax.Array]:
