@@ -64,7 +64,8 @@ def train(
             Run.create(directory, learner, settings, family=family, init_from=init_from)
         wait_for_all("the run is there")
         run = Run.open(directory, family or settings.own_family, settings.own_method)
-        train_live(run, keep=keep)
+        with sharing.of_tasks(run.learner.tasks_for_cores):
+            train_live(run, keep=keep)
     return run
 
 
@@ -99,7 +100,8 @@ def resume(
             change_run(run, change)
         wait_for_all("the run is changed")
         run = Run.open(run)
-        train_live(run, iterations, keep)
+        with sharing.of_tasks(run.learner.tasks_for_cores):
+            train_live(run, iterations, keep)
     return run
 
 

@@ -260,6 +260,14 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """
         return None
 
+    @property
+    def tasks_for_cores(self) -> int:
+        """The number of tasks that cores of a CPU should share in a step; 1 if one core will do.
+
+        Their exchange takes time too, so sharing helps where most of a step is learning.
+        """
+        return 1
+
     @abstractmethod
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         """Return the number of episodes that the first so many meta-iterations play, in all.

@@ -10,6 +10,7 @@ Do not differentiate through them: differentiate a device's own part, then add u
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
@@ -23,6 +24,8 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.numerics.returns import masked_mean
 
 Tree = TypeVar("Tree")
+First = TypeVar("First")
+Second = TypeVar("Second")
 Function = Callable[[Any, Any], tuple[Any, Any]]
 
 AXIS = "task"
@@ -104,6 +107,26 @@ def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
     placed = _placed(mesh, shared, _REPLICATED), _placed(mesh, rows, _SHARDED)
     new_shared, new_rows = _call_sharded(mesh, function, *placed)
     return jax.tree.map(_own_copy, new_shared), jax.tree.map(_own_rows, new_rows)
+
+
+def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """Return what two independent calls of `over_tasks` return, each computed on its own thread.
+
+    On a CPU, XLA computes a program of small products on one core. Where devices share the tasks,
+    the calls follow each other: their sums must meet in the same order on all devices.
+    """
+    if _mesh.get() is not None:
+        return first(), second()
+    wide = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+
+    def compute() -> Second:
+        with jax.enable_x64(wide):  # a thread does not inherit it from a `with` block
+            return jax.block_until_ready(second())  # type: ignore[no-untyped-call,no-any-return]
+
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(compute)
+        own: First = jax.block_until_ready(first())  # type: ignore[no-untyped-call]
+        return own, other.result()
 
 
 @eqx.filter_jit

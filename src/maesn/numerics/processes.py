@@ -1,6 +1,8 @@
 """Start and coordinate the processes and devices that train one run together."""
 
 import contextlib
+import os
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -24,9 +26,10 @@ AUTO = "auto"
 class Sharing:
     """Which devices and processes share the tasks of a meta-batch. No result depends on it."""
 
-    devices: int = 1
+    devices: int | None = None
     """Number of devices of each process, which share the tasks of a meta-batch. On a CPU, devices
-    are threads."""
+    are threads. None: one; but as many as there are cores, if they divide the tasks, for a method
+    whose inner update moves the policy's weights, unless several processes train the run."""
     coordinator: str | None = None
     """Address of process 0 as HOST:PORT, if several processes train one run. auto: under Slurm and
     Open MPI, JAX finds the address, the number of processes and their indices by itself."""
@@ -37,7 +40,7 @@ class Sharing:
 
     def __post_init__(self) -> None:
         given = self.num_processes, self.process
-        if self.devices < 1:
+        if self.devices is not None and self.devices < 1:
             raise RunError(f"`devices` must be at least 1, got {self.devices}.")
         if self.coordinator in (None, AUTO):
             if given != (None, None):
@@ -59,13 +62,34 @@ class Sharing:
         Raises:
             RunError: JAX has started with fewer devices, or the processes do not find each other.
         """
-        if self.devices > 1:
-            _request_cpu_devices(self.devices)
+        number = self.devices or (num_cores() if self._is_open else 1)
+        if number > 1:
+            _request_cpu_devices(number)
         if self.coordinator is not None and not jax.distributed.is_initialized():
             self._connect(self.coordinator)
-        is_shared = self.devices > 1 or self.coordinator is not None
-        with sharing_tasks(_devices_of_each_process(self.devices) if is_shared else []):
+        given = self.devices or 1
+        is_shared = given > 1 or self.coordinator is not None
+        with sharing_tasks(_devices_of_each_process(given) if is_shared else []):
             yield
+
+    @contextlib.contextmanager
+    def of_tasks(self, tasks: int) -> Iterator[None]:
+        """Let as many cores as divide the tasks share them, if it was left open how many.
+
+        Args:
+            tasks: `AbstractMetaLearner.tasks_for_cores`.
+        """
+        found = jax.local_devices()
+        if not self._is_open or found[0].platform != "cpu":
+            yield
+            return
+        number = max(n for n in range(1, min(len(found), num_cores()) + 1) if tasks % n == 0)
+        with sharing_tasks(found[:number]):
+            yield
+
+    @property
+    def _is_open(self) -> bool:
+        return self.devices is None and self.coordinator is None
 
     def _connect(self, coordinator: str) -> None:
         address = None if coordinator == AUTO else coordinator
@@ -85,6 +109,13 @@ class Sharing:
 
 
 ALONE = Sharing()
+
+
+def num_cores() -> int:
+    """Return the number of cores that this process may compute on."""
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    # XLA's own limit on its threads.
+    return min(found or 1, int(os.environ.get("NPROC", sys.maxsize)))
 
 
 def _request_cpu_devices(number: int) -> None:

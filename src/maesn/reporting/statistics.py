@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-import scipy.stats
 from jaxtyping import Float
 
 CONFIDENCE = 0.95
@@ -66,7 +65,12 @@ def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
     (Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice",
     NeurIPS 2021)
     """
-    return np.asarray(scipy.stats.trim_mean(x.reshape(*x.shape[:-2], -1), 0.25, axis=-1))
+    values = x.reshape(*x.shape[:-2], -1)
+    cut = values.shape[-1] // 4
+    # As `scipy.stats.trim_mean` does it, whose module takes half a second to import.
+    ordered = np.partition(values, (cut, values.shape[-1] - cut - 1), axis=-1)
+    middle = ordered[..., cut : values.shape[-1] - cut].mean(-1)
+    return np.where(np.isnan(values).any(-1), np.nan, middle)
 
 
 def cvar(x: Values) -> Float[np.ndarray, "*batch"]:

@@ -156,17 +156,20 @@ def _play_groups(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Play latents in some situations, as `play_archive` does; returns of other tasks are 0."""
     collector = Collector(world, episodes)
-    size = max(1, min(settings.simulations // episodes, collector.most_tasks))
+    size = max(1, min(settings.simulations // episodes, collector.most_tasks, len(latents)))
     shape = (len(world.tasks), len(latents), episodes)
     returns, length, played = np.zeros(shape), np.zeros(shape), 0
     for group in groups:
         for first in range(0, len(latents), size):
-            chunk = latents[first : first + size]
-            rows = np.ix_(group, np.arange(first, first + len(chunk)))
+            # Chunks of one size share compiled programs: the last latent fills the last of them.
+            chunk = latents[np.minimum(np.arange(first, first + size), len(latents) - 1)]
+            rows = np.arange(first, min(first + size, len(latents)))
             chunk_key = jax.random.fold_in(key, played)
             agents = replace(latent.holding(chunk), is_noisy=settings.action_noise)
-            returns[rows], length[rows] = _play_group(agents, collector, group, chunk_key)
-            played += len(chunk)
+            found = _play_group(agents, collector, group, chunk_key)
+            for whole, part in zip((returns, length), found, strict=True):
+                whole[np.ix_(group, rows)] = part[:, : len(rows)]
+            played += len(rows)
             progress(played, len(groups) * len(latents))
     return returns, length
 

@@ -126,6 +126,10 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         collections = self.inner_updates + self.outer_batches
         return iterations * collections * self.meta_batch_size * episodes_per_task
 
+    @property
+    def tasks_for_cores(self) -> int:
+        return 1 if self.adaptation.policy is None else self.meta_batch_size
+
     def for_actions(self, kind: ActionKind) -> "GradientMetaLearner":
         return replace(self, policy=self.policy.for_actions(kind))
 

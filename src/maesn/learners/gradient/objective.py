@@ -1,5 +1,6 @@
 """The outer objective of gradient-based meta-learning, as a function of the meta-parameters."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -7,7 +8,7 @@ from typing import Any, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from maesn.context import AbstractContext, AbstractContextSettings
 from maesn.experience.agent import Agents
@@ -110,9 +111,27 @@ class MetaObjective(eqx.Module):
             statistics = statistics.with_batch(episodes.observation[..., :-1, :], episodes.valid)
         return statistics
 
-    def evaluate(self, parameters: MetaParameters) -> Candidate:
-        """Return the loss, and the mean KL from the distributions that `post` was drawn from."""
-        return _mean_over_tasks(self._each(lambda task: task.evaluate_at_once(parameters)))
+    def evaluate(self, parameters: MetaParameters, largest_kl: float = math.inf) -> Candidate:
+        """Return the loss, and the mean KL from the distributions that `post` was drawn from.
+
+        Args:
+            parameters: where they are evaluated.
+            largest_kl: bound on the mean KL. If some tasks alone exceed it, the others are left
+                out: no divergence is negative, so the KL that is returned exceeds the bound too.
+        """
+        tasks = self.index.shape[0]
+        enough = largest_kl * tasks * mesh.num_shards()
+
+        def goes_on(state: tuple[Int[Array, ""], Candidate]) -> Bool[Array, ""]:
+            return (state[0] < tasks) & ~(state[1].kl > enough)
+
+        def add(state: tuple[Int[Array, ""], Candidate]) -> tuple[Int[Array, ""], Candidate]:
+            found = self._task(state[0]).evaluate_at_once(parameters)
+            return state[0] + 1, jax.tree.map(jnp.add, state[1], found)
+
+        nothing = Candidate(jnp.zeros(()), jnp.zeros(()))
+        _, total = jax.lax.while_loop(goes_on, add, (jnp.zeros((), int), nothing))
+        return mesh.mean(Candidate(total.loss / tasks, total.kl / tasks))
 
     def loss_and_gradient(
         self, parameters: MetaParameters
@@ -176,6 +195,11 @@ class MetaObjective(eqx.Module):
     def _surrogates(self, new: AbstractDistribution) -> Float[Array, " task"]:
         surrogates: Array = map_tasks(outer_loss, new, self.post, self.advantages, how="vmap")
         return surrogates
+
+    def _task(self, row: Int[Array, ""]) -> "MetaObjective":
+        """Return the objective of a single task."""
+        shared, rows = self.parts()
+        return self.of_parts(shared, jax.tree.map(lambda x: x[row][None], rows))
 
     def _each(self, function: Callable[["MetaObjective"], Any]) -> Any:
         """Map a function of the objective of a single task over the tasks."""

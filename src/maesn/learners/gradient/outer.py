@@ -96,7 +96,7 @@ class TrustRegionOuterStep(AbstractOuterStep):
         outer, inner = self._thinnings(key, objective.post.valid)
         improved, info = self.trust_region.step(
             parameters,
-            objective.evaluate,
+            partial(objective.evaluate, largest_kl=self.trust_region.max_kl),
             objective.loss_and_gradient,
             lambda varied: sampled_distributions(objective, varied, updated, outer, inner),
             step_weights(objective.post.every(*outer)),

@@ -6,7 +6,8 @@ episode is worth what it adds to the returns of the others. In a new task no wei
 """
 
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +26,7 @@ from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import ValueState, explained_variance
 from maesn.learners.trials import Trials, check_trials, join_episodes
 from maesn.numerics import mesh, standardize, trial_advantages
-from maesn.numerics.mesh import check_split, over_tasks
+from maesn.numerics.mesh import at_once, check_split, over_tasks
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
 
@@ -149,27 +150,54 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
             trial_state = episodes[-1].trial_end if episodes else None
             agents = Agents(state.policy, Nothing(), shares_policy=True, trial_state=trial_state)
             episodes.append(collect(keys, agents, index, stage=number))
-        outcome: Any
-        outcome, _ = over_tasks(self._improve, (learn_key, state), tuple(episodes))
-        return outcome
+        return self._improve(learn_key, state, tuple(episodes))
 
     def _improve(
-        self, shared: tuple[Key, RecurrentMetaState], episodes: tuple[Episodes, ...]
-    ) -> tuple[tuple[RecurrentMetaState, RecurrentInfo], None]:
-        key, state = shared
+        self, key: Key, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
+    ) -> tuple[RecurrentMetaState, RecurrentInfo]:
+        """Improve the policy and the value function, which learn from the same trials."""
         policy_key, value_key = jax.random.split(key)
+        _, judged = over_tasks(self._judge, state, episodes)
+        (improved, _), (fitted, _) = at_once(
+            partial(over_tasks, self._improve_policy, (policy_key, state), judged),
+            partial(over_tasks, self._fit_value, (value_key, state), judged),
+        )
+        (policy, opt_state, step), (value, accepted) = improved, fitted
+        info, _ = over_tasks(_describe, (accepted, step), (episodes, judged))
+        return RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info
+
+    # `over_tasks` runs the following.
+    def _judge(
+        self, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
+    ) -> tuple[None, "_Judged"]:
         trials = join_episodes(episodes)
-        judged = replace(trials, inputs=state.policy.seen(trials.inputs))
-        expected = self.value.values(state.value, judged)
-        advantages = self.advantages(trials, expected)
+        expected = self.value.values(state.value, self._seen(state, trials))
+        return None, _Judged(trials, self.advantages(trials, expected), expected)
+
+    def _improve_policy(
+        self, shared: tuple[Key, RecurrentMetaState], judged: "_Judged"
+    ) -> tuple[tuple[AbstractPolicy, Any, Any], None]:
+        key, state = shared
+        trials, advantages, _ = judged
         standard = standardize(advantages, trials.valid, mean=mesh.mean_of_valid)
         policy, opt_state, step = self.policy_step(
-            policy_key, state.policy, state.opt_state, trials, standard
+            key, state.policy, state.opt_state, trials, standard
         )
         policy = self.policy.after_iteration(policy, state.iteration + 1)
-        value, accepted = self.value.fit(value_key, state.value, judged, advantages + expected)
-        info = _describe(episodes, trials, advantages, expected, accepted, step)
-        return (RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info), None
+        return (policy, opt_state, step), None
+
+    def _fit_value(
+        self, shared: tuple[Key, RecurrentMetaState], judged: "_Judged"
+    ) -> tuple[tuple[ValueState, Bool[Array, ""]], None]:
+        key, state = shared
+        trials, advantages, expected = judged
+        seen = self._seen(state, trials)
+        return self.value.fit(key, state.value, seen, advantages + expected), None
+
+    @staticmethod
+    def _seen(state: RecurrentMetaState, trials: Trials) -> Trials:
+        """Return trials with the inputs that the policy's network reads."""
+        return replace(trials, inputs=state.policy.seen(trials.inputs))
 
     def advantages(
         self, trials: Trials, expected: Float[Array, "trial time"]
@@ -185,14 +213,16 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         )
 
 
-def _describe(
-    episodes: tuple[Episodes, ...],
-    trials: Trials,
-    advantages: Float[Array, "trial time"],
-    expected: Float[Array, "trial time"],
-    value_accepted: Bool[Array, ""],
-    policy_step: Any,
-) -> RecurrentInfo:
+class _Judged(NamedTuple):
+    """Trials, and what the value function says of them."""
+
+    trials: Trials
+    advantages: Float[Array, "trial time"]
+    expected: Float[Array, "trial time"]
+
+
+def _describe(shared: Any, rows: Any) -> tuple[RecurrentInfo, None]:
+    (value_accepted, policy_step), (episodes, (trials, advantages, expected)) = shared, rows
     first, last = episodes[0], episodes[-1]
     valid, behaviour = trials.valid, trials.behaviour
     return RecurrentInfo(
@@ -204,4 +234,4 @@ def _describe(
         explained_variance=explained_variance(advantages, expected, valid),
         value_accepted=value_accepted,
         policy_step=policy_step,
-    )
+    ), None
