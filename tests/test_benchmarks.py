@@ -2,20 +2,23 @@
 
 import csv
 import gzip
+import importlib
 import re
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import bare_physics
+import bonus_control
+import curvature
 import jax
 import jax.numpy as jnp
+import memory_control
 import numpy as np
 import pytest
 from carts import MOTOR, CartTask, cart_on
 from playing import constant_agents, keys
-from scripts import ROOT, load_script
 from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
@@ -37,12 +40,7 @@ class FallenAnt(Ant):
 ENVS = (Wheeled(horizon=15), FallenAnt(horizon=15), BlockPush(horizon=15))
 
 
-@pytest.fixture(scope="module")
-def bare_physics() -> ModuleType:
-    return load_script("benchmarks/bare_physics.py")
-
-
-def played_twice(bare_physics: ModuleType, env: AbstractMujocoEnv[Any], tasks: TaskSet) -> Any:
+def played_twice(env: AbstractMujocoEnv[Any], tasks: TaskSet) -> Any:
     """Last readings of a collection, and of the engine alone; and the episodes."""
     collector = Collector(make_world(env, tasks, num_threads=1), 2)
     record = bare_physics.Recorder(collector)
@@ -55,11 +53,9 @@ def played_twice(bare_physics: ModuleType, env: AbstractMujocoEnv[Any], tasks: T
 
 
 @pytest.mark.parametrize("env", ENVS, ids=lambda env: env.name)
-def test_the_engine_alone_ends_where_the_collection_does(
-    bare_physics: ModuleType, env: AbstractMujocoEnv[Any]
-) -> None:
+def test_the_engine_alone_ends_where_the_collection_does(env: AbstractMujocoEnv[Any]) -> None:
     tasks = find_family(env.name).task_set("training", 3)
-    collected, alone, episodes = played_twice(bare_physics, env, tasks)
+    collected, alone, episodes = played_twice(env, tasks)
     assert collected.keys() == alone.keys() == set(env.readings)
     for name, values in collected.items():
         np.testing.assert_array_equal(values, alone[name], err_msg=name)
@@ -67,11 +63,9 @@ def test_the_engine_alone_ends_where_the_collection_does(
     assert len(np.unique(episodes.valid)) == (2 if env.name == "ant" else 1)
 
 
-def test_tasks_that_change_the_dynamics_do_so_there_as_well(
-    bare_physics: ModuleType, tmp_path: Path
-) -> None:
+def test_tasks_that_change_the_dynamics_do_so_there_as_well(tmp_path: Path) -> None:
     tasks = TaskSet(CartTask(np.float32([0.0, 5.0, 0.0]), np.float32([1.0, 2.0, 8.0])))
-    collected, alone, _ = played_twice(bare_physics, cart_on(tmp_path, MOTOR)(force=3.0), tasks)
+    collected, alone, _ = played_twice(cart_on(tmp_path, MOTOR)(force=3.0), tasks)
     np.testing.assert_array_equal(collected["qvel"], alone["qvel"])
     assert len(np.unique(alone["qvel"])) >= 3
 
@@ -116,18 +110,16 @@ def test_every_line_is_printed(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings, form, number = LINES[name]
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    script = load_script(f"benchmarks/{name}.py")
+    script = importlib.import_module(name)
     script.main(script.Settings(**settings))
     printed = capsys.readouterr().out
     assert len(re.findall(form, printed, re.MULTILINE)) == number, printed
 
 
 def test_memories_are_exchanged_among_tasks() -> None:
-    control = load_script("benchmarks/memory_control.py")
     hidden = jnp.array([[[1.0], [3.0]], [[5.0], [7.0]]])
     own = TrialState(hidden, action=10 * hidden, reward=hidden[..., 0])
-    memories = control.exchanged(own)
+    memories = memory_control.exchanged(own)
     assert memories["its own memory"] is own
     expected = {"nothing": [0, 0, 0, 0], "another task's": [5, 7, 1, 3], "the mean of all": [4] * 4}
     for name, values in expected.items():
@@ -141,7 +133,6 @@ def test_memories_are_exchanged_among_tasks() -> None:
 def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    curvature = load_script("benchmarks/curvature.py")
     monkeypatch.setattr(curvature, "IN_CLOSED_FORM", [curvature.Choice(5, 20, 1)])
     few = {"iterations": 0, "episodes_per_task": 2, "judged_episodes": 2, "repetitions": 2}
     curvature.main(curvature.Settings(family="point", **few))
@@ -158,10 +149,8 @@ def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
 def test_random_bonuses_are_the_control_of_curiosity(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    control = load_script("benchmarks/bonus_control.py")
     options = {"num_tasks": 2, "updates": 2, "episodes_per_task": 3, "weight": 1.0}
-    control.main(control.Settings(family="point", **options, out=tmp_path))
+    bonus_control.main(bonus_control.Settings(family="point", **options, out=tmp_path))
     assert re.findall(r"^(\w+) +after 2 updates", capsys.readouterr().out, re.M) == [
         "random_bonus",
         "vime",
@@ -181,10 +170,9 @@ def test_random_bonuses_are_the_control_of_curiosity(
 def test_second_episodes_begin_with_the_memory_that_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    control = load_script("benchmarks/memory_control.py")
     run = create(tmp_path / "run", rl2(policy=Recurrent(hidden_size=3)))
-    settings = control.Settings(run.directory, tasks="validation", episodes_per_task=2)
-    means = dict(control.played(settings))
+    settings = memory_control.Settings(run.directory, tasks="validation", episodes_per_task=2)
+    means = dict(memory_control.played(settings))
     assert "deviation over" in capsys.readouterr().out
     tasks = run.task_set("validation")
     world, index = run.world(tasks), jnp.arange(len(tasks))

@@ -99,7 +99,6 @@ def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
 def test_every_command_can_be_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Guide("own_rule.md", "my_rules").write(tmp_path)  # named by options, which import it
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.syspath_prepend(EXAMPLES)
     for module in (options, train):  # what follows the reading of options
         monkeypatch.setattr(module, "enable_compilation_cache", lambda: sys.exit(UNDERSTOOD))
     # Results keep the commands of their time.
@@ -117,8 +116,7 @@ def test_every_command_can_be_understood(tmp_path: Path, monkeypatch: pytest.Mon
         assert end.value.code == UNDERSTOOD or words in NO_OPTIONS, (page, words)
 
 
-def test_every_study_can_be_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(EXAMPLES)
+def test_every_study_can_be_understood(tmp_path: Path) -> None:
     blocks = [code for page in PAGES for code in blocks_of(page, "toml") if "family =" in code]
     assert blocks
     for code in blocks:

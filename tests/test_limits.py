@@ -1,23 +1,13 @@
 """What is possible in the families whose best behaviour can be computed."""
 
 import itertools
-from types import ModuleType
 
+import limits_grid_navi as grid_navi
+import limits_search as search
+import limits_sparse_point as sparse_point
+import limits_walking as walking
 import numpy as np
 import pytest
-from scripts import ROOT, load_script
-
-
-@pytest.fixture
-def grid_navi(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    return load_script("benchmarks/limits_grid_navi.py")
-
-
-@pytest.fixture
-def sparse_point(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    return load_script("benchmarks/limits_sparse_point.py")
 
 
 def by_enumeration(size: int, steps: int, episodes: int) -> float:
@@ -54,13 +44,13 @@ def by_enumeration(size: int, steps: int, episodes: int) -> float:
 
 @pytest.mark.parametrize(("steps", "episodes"), [(4, 1), (7, 1), (4, 2)])
 def test_the_best_searcher_on_a_small_grid_is_that_of_enumeration(
-    grid_navi: ModuleType, steps: int, episodes: int
+    steps: int, episodes: int
 ) -> None:
     found = grid_navi.navi_limits(grid_navi.make_grid(3, steps, episodes))
     np.testing.assert_allclose(found.below.sum(), by_enumeration(3, steps, episodes))
 
 
-def test_the_limits_of_the_paper_s_grid(grid_navi: ModuleType) -> None:
+def test_the_limits_of_the_paper_s_grid() -> None:
     grid = grid_navi.make_grid()
     found = grid_navi.navi_limits(grid)
     # Of 21 goals at distance D: -0.1 (D - 1) + 16 - D each.
@@ -74,7 +64,7 @@ def test_the_limits_of_the_paper_s_grid(grid_navi: ModuleType) -> None:
     np.testing.assert_allclose(found.below, [first, oracle, oracle, oracle])
 
 
-def test_the_oracle_of_the_sparse_point(sparse_point: ModuleType) -> None:
+def test_the_oracle_of_the_sparse_point() -> None:
     point = sparse_point.Point(0.2, 20, 1)
     rewards = sparse_point.oracle_rewards(point)
     assert rewards.shape == (20, sparse_point.NUM_ANGLES)
@@ -92,9 +82,7 @@ def test_the_oracle_of_the_sparse_point(sparse_point: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("protocol", [(0.2, 20, 3), (0.3, 32, 2)])
-def test_a_sweep_lies_below_what_no_searcher_exceeds(
-    sparse_point: ModuleType, protocol: tuple[float, int, int]
-) -> None:
+def test_a_sweep_lies_below_what_no_searcher_exceeds(protocol: tuple[float, int, int]) -> None:
     point = sparse_point.Point(*protocol)
     oracle = sparse_point.oracle_rewards(point)
     above = sparse_point.most_in_first_episode(point, oracle)
@@ -106,12 +94,8 @@ def test_a_sweep_lies_below_what_no_searcher_exceeds(
     assert np.abs(steps).max() <= 0.1 + 1e-9
 
 
-def test_no_list_of_latents_is_better_than_the_one_that_dynamic_programming_finds(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_list_of_latents_is_better_than_the_one_that_dynamic_programming_finds() -> None:
     """Every list, and every latent to deploy at the goals that the list does not reach."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    search = load_script("benchmarks/limits_search.py")
     stream, angles, latents = np.random.default_rng(0), 9, 5
     for _ in range(50):
         returns, reaches = stream.uniform(size=(angles, latents)), np.zeros((angles, latents), bool)
@@ -126,11 +110,7 @@ def test_no_list_of_latents_is_better_than_the_one_that_dynamic_programming_find
             assert found == pytest.approx(max(best) / angles)
 
 
-def test_a_latent_reaches_the_goals_between_those_where_its_episodes_are_rewarded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    search = load_script("benchmarks/limits_search.py")
+def test_a_latent_reaches_the_goals_between_those_where_its_episodes_are_rewarded() -> None:
     far, length = np.array([-20.0, -30.0, -20.0, -25.0]), np.ones((4, 2, 3))
     returns = far[:, None, None] - np.array([1.0, 2.0])[:, None] * length  # control costs
     returns[0, 0, 1] += 9.0
@@ -139,9 +119,7 @@ def test_a_latent_reaches_the_goals_between_those_where_its_episodes_are_rewarde
     assert found.tolist() == [[True, False], [True, False], [True, False], [False, False]]
 
 
-def test_bounds_of_the_walking_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    walking = load_script("benchmarks/limits_walking.py")
+def test_bounds_of_the_walking_robots() -> None:
     rng = np.random.default_rng(0)
     speeds, goals = rng.uniform(0.0, 3.0, 25), rng.uniform(-2.0, 2.0, (25, 2))
     tried = -200 * np.abs(np.linspace(0, 3, 3001)[:, None] - speeds).mean(1).min()

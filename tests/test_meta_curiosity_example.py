@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meta_curiosity import WithCuriosity
 from playing import keys
-from scripts import ROOT, load_script
 from small_runs import tiny_maesn
 
 import maesn
@@ -20,7 +20,6 @@ from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-WithCuriosity = load_script("examples/meta_curiosity.py").WithCuriosity
 SMALL = maesn.CuriosityBonus(
     hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2
 )
@@ -88,7 +87,6 @@ def test_a_learner_that_does_not_learn_from_reward_gets_no_bonus() -> None:
 def test_it_is_trained_resumed_and_adapted_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     small = "--episodes-per-task 3 --learner.meta-batch-size 2 --learner.policy.hidden-sizes 4"
     own = "--curiosity.updates 2 --curiosity.weight 0.5"

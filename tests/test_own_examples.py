@@ -17,7 +17,6 @@ SMALL = ["--meta-batch-size", "4", "--episodes-per-task", "4", "--policy.hidden-
 
 @pytest.fixture(autouse=True)
 def examples(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.syspath_prepend(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
 
 

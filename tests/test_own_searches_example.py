@@ -6,8 +6,9 @@ from typing import Any
 
 import cmaes
 import numpy as np
+import own_searches as searches
 import pytest
-from scripts import ROOT, load_script
+from scripts import ROOT
 from small_runs import tiny_maesn, tiny_settings
 
 import maesn
@@ -17,7 +18,6 @@ from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError
 
-searches = load_script("examples/own_searches.py")
 OPTIMUM = np.array([2.0, -1.0])
 
 
@@ -74,10 +74,7 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.parametrize("name", ["BestOf", "CrossEntropy round_size=4", "CmaEs spread=1"])
-def test_a_rule_by_its_name(
-    name: str, trained: Run, few: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(ROOT / "examples")
+def test_a_rule_by_its_name(name: str, trained: Run, few: str, tmp_path: Path) -> None:
     table, budget = tmp_path / "table.csv", ["--episodes", "5", "--deploy-episodes", "2"]
     options = ["--tasks", few, "--out", str(table), *budget, "--deploy-after", "0", "5"]
     rule = ["--rule", *f"own_searches:{name}".split()]
@@ -116,7 +113,6 @@ def test_a_method_without_a_latent_is_refused(tmp_path: Path, few: str) -> None:
         api.adapt(run, tasks=few, rule=searches.BestOf())
 
 
-def test_the_study_that_names_one_can_be_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT / "examples")
+def test_the_study_that_names_one_can_be_computed() -> None:
     study = maesn.Study.load(ROOT / "examples" / "few_episodes.toml")
     assert [name for name in study.jobs if "crossentropy" in name]

@@ -2,11 +2,10 @@
 
 import csv
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
-from scripts import ROOT, load_script
+import search_tables as tables
 from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api
@@ -14,13 +13,6 @@ from maesn.runs.run import Run
 from maesn.runtime.search_settings import SearchSettings
 from maesn.search import PriorSettings
 from maesn.search.stored import read_prior, run_prior
-
-
-@pytest.fixture
-def tables(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    monkeypatch.syspath_prepend(ROOT / "examples")
-    return load_script("benchmarks/search_tables.py")
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +23,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_rows_are_those_of_adapt(
-    tables: ModuleType, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "enable_compilation_cache", lambda: None)
     short = tables.Line("own_searches:BestOf", 3)
@@ -55,7 +47,7 @@ def test_rows_are_those_of_adapt(
     assert [float(row["reached"]) for row in last] == reached.tolist()
 
 
-def test_differences_are_paired_by_task(tables: ModuleType, tmp_path: Path) -> None:
+def test_differences_are_paired_by_task(tmp_path: Path) -> None:
     generator = np.random.default_rng(0)
     names = ("deployed", "success", "drawn", "drawn_success", "searching", "reached")
     values = {}
@@ -76,7 +68,7 @@ def test_differences_are_paired_by_task(tables: ModuleType, tmp_path: Path) -> N
     assert row["deployed"] == pytest.approx(values["other"].mean(), abs=1e-4)
 
 
-def test_the_ceiling_is_selected_and_judged_on_different_episodes(tables: ModuleType) -> None:
+def test_the_ceiling_is_selected_and_judged_on_different_episodes() -> None:
     # Latent 0 always returns 1; latent 1 returns 10 and 0 in the two halves.
     returns = np.array([[[1.0, 1.0], [10.0, 0.0]]])
     (row,) = tables.ceiling_rows(returns)
@@ -84,7 +76,7 @@ def test_the_ceiling_is_selected_and_judged_on_different_episodes(tables: Module
     assert row["deployed"] == pytest.approx(0.5)
 
 
-def test_a_permutation_keeps_what_each_latent_returns(tables: ModuleType, source: Path) -> None:
+def test_a_permutation_keeps_what_each_latent_returns(source: Path) -> None:
     settings = SearchSettings()
     (path,) = (source / "priors").iterdir()
     model = settings.model(read_prior(path)[0])

@@ -7,10 +7,10 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import own_searches
 import pytest
 from pictures import assert_says_what_to_install, can_draw
 from PIL import Image
-from scripts import ROOT, load_script
 from small_runs import tiny_maesn, tiny_settings
 from strange_families import painters
 from strangers import HORIZON
@@ -25,8 +25,6 @@ from maesn.evaluation.running import new_tasks
 from maesn.runs.run import Run
 from maesn.worlds import DeviceWorld, EpisodeError
 from maesn.worlds.collector import Collector
-
-own_searches = load_script("examples/own_searches.py")
 
 TASK, PLAYED, SHOWN, AFTER = 3, 5, 2, [0, 10]
 Played = dict[int, list[Filmed]]
@@ -211,10 +209,7 @@ def test_what_is_no_picture_is_refused(painting: Run, tmp_path: Path) -> None:
         maesn.render(painting, asked, task=task, family=painters, out=tmp_path)
 
 
-def test_a_search_is_filmed_without_further_options(
-    run: Run, drawn: list[Drawn], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(ROOT / "examples")
+def test_a_search_is_filmed_without_further_options(run: Run, drawn: list[Drawn]) -> None:
     rule = ["--rule", "own_searches:BestOf"]
     command = ["render", str(run.directory), *rule, "--episodes", "2"]
     assert cli.run(command) == 0

@@ -2,21 +2,16 @@
 
 import itertools
 import math
-from types import ModuleType
 
+import bandit as benchmark
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bernoulli_bandit import Bandit, bandit
-from scripts import ROOT, load_script
+from scripts import ROOT
 
 COMMITTED = ROOT / "results" / "bandit" / "policy.safetensors"
-
-
-@pytest.fixture(scope="module")
-def benchmark() -> ModuleType:
-    return load_script("benchmarks/bandit.py")
 
 
 def best_of_all_policies(arms: int, pulls: int) -> float:
@@ -50,7 +45,7 @@ def weighted_return(policy: dict[tuple[int, ...], int], rewards: tuple[int, ...]
     return probability * sum(rewards)
 
 
-def test_dynamic_programming_is_the_best_of_all_policies(benchmark: ModuleType) -> None:
+def test_dynamic_programming_is_the_best_of_all_policies() -> None:
     for arms, pulls in ((2, 1), (3, 1), (2, 2), (2, 3), (3, 2)):
         expected = best_of_all_policies(arms, pulls)
         assert benchmark.bayes_optimal_return(arms, pulls) == pytest.approx(expected)
@@ -76,7 +71,7 @@ def test_the_bandit_pays_as_often_as_its_arms_say() -> None:
     assert totals.var() == pytest.approx(10 * 0.3 * 0.7, rel=0.15)
 
 
-def test_the_published_policy_is_within_a_seventh_of_the_optimum(benchmark: ModuleType) -> None:
+def test_the_published_policy_is_within_a_seventh_of_the_optimum() -> None:
     """5 arms, 10 pulls, 20,000 new tasks: the standard error is 0.016."""
     policy = benchmark.load_policy(COMMITTED)
     env, tasks = Bandit(), bandit.task_set("test", benchmark.TEST_TASKS)

@@ -9,21 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.probes import HiddenEnd
+from learning_problems.watching import EPISODES, TASKS, Watching
 from small_runs import create, finish
 
 from maesn.context import Latent
-from maesn.envs import TaskSet
 from maesn.learners import PearlMetaLearner, Problem, pearl
 from maesn.learners.pearl.encoder import EncoderSettings, Factors
 from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES
 from maesn.learners.pearl.replay import Replay, transitions_of
 from maesn.learners.pearl.sac import SoftActorCritic
 from maesn.search import latent_of
-from maesn.worlds import make_world
-from maesn.worlds.collector import Collector
 
-TASKS, EPISODES = 4, 3
 SMALL = {
     "encoder": EncoderSettings(2, (4,), context_size=6),
     "sac": SoftActorCritic((5,), batch_size=7),
@@ -40,11 +36,6 @@ def small(**settings: Any) -> PearlMetaLearner:
     return pearl(**SMALL | settings)
 
 
-def mortal() -> Collector:
-    """Episodes of 2 to 6 steps; what follows is NaN."""
-    return Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([2, 3, 5, 9]))), EPISODES)
-
-
 PROBLEM = Problem(1, 1, TASKS, horizon=6, episodes_per_task=EPISODES)
 
 
@@ -52,7 +43,7 @@ PROBLEM = Problem(1, 1, TASKS, horizon=6, episodes_per_task=EPISODES)
 
 
 def test_transitions_end_with_their_episode() -> None:
-    learner, collect = small(), mortal()
+    learner, collect = small(), Watching()
     state = learner.init(jax.random.key(0), PROBLEM)
     agents = state.networks.agents(state.networks.encoder.none(TASKS).posterior())
     keys = jax.random.split(jax.random.key(2), TASKS)
@@ -72,7 +63,7 @@ def test_transitions_end_with_their_episode() -> None:
 
 def filled(capacity: int, visits: int) -> tuple[Replay, list[Any]]:
     """A replay of tasks 1 and 3, each visit one batch of context and one for the critics alone."""
-    learner, collect, played = small(), mortal(), []
+    learner, collect, played = small(), Watching(), []
     state = learner.init(jax.random.key(0), PROBLEM)
     replay, tasks = Replay.empty(TASKS, capacity, 1, 1), jnp.asarray([1, 3])
     for visit in range(visits):
@@ -109,37 +100,28 @@ def test_the_context_is_of_the_latest_visit_and_the_critics_see_all(capacity: in
 
 
 def test_a_meta_iteration_visits_infers_and_learns() -> None:
-    learner, collect = small(), mortal()
-    calls: list[tuple[int, Any]] = []
-
-    class Watching(Collector):
-        def __call__(self, keys: Any, agents: Any, index: Any, stage: int = 0) -> Any:
-            calls.append((stage, agents))
-            return super().__call__(keys, agents, index, stage)
-
-    watching = Watching(collect.world, EPISODES)
+    learner, collect = small(), Watching()
     before = learner.init(jax.random.key(0), PROBLEM)
-    after, info = learner.step(jax.random.key(1), before, watching)
+    after, info = learner.step(jax.random.key(1), before, collect)
     assert int(learner.iteration(after)) == 1
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))
     assert bool(info.accepted)
     moved = jax.tree.map(lambda x, y: bool((x != y).any()), before.networks, after.networks)
     assert all(jax.tree.leaves(moved))
     # Three tasks beforehand, two at once; then one batch from the prior and two from the posterior.
-    assert [stage for stage, _ in calls] == [0, 0, 0, 1, 2]
-    is_prior = [bool((agents.context.mean == 0).all()) for _, agents in calls]
+    assert collect.stages == [0, 0, 0, 1, 2]
+    is_prior = [bool((agents.context.mean == 0).all()) for agents in collect.agents]
     assert is_prior == [True, True, True, False, False]
     assert learner.planned_episodes(EPISODES, 1) == (3 + 3 * 2) * EPISODES
-    calls.clear()
-    _, again = learner.step(jax.random.key(2), after, watching)
-    assert len(calls) == 3
+    _, again = learner.step(jax.random.key(2), after, collect)
+    assert len(collect.stages) == 5 + 3
     assert float(again.losses.q) != float(info.losses.q)
 
 
 def test_networks_that_are_not_finite_are_not_taken() -> None:
     learner = small(sac=SoftActorCritic((5,), batch_size=7, reward_scale=1e30))
     before = learner.init(jax.random.key(0), PROBLEM)
-    after, info = learner.step(jax.random.key(1), before, mortal())
+    after, info = learner.step(jax.random.key(1), before, Watching())
     assert not bool(info.accepted)
     for old, new in zip(*map(jax.tree.leaves, (before.networks, after.networks)), strict=True):
         np.testing.assert_array_equal(old, new)
@@ -151,7 +133,7 @@ def test_networks_that_are_not_finite_are_not_taken() -> None:
 
 @pytest.mark.parametrize("noise", [False, True])
 def test_a_new_task_is_sampled_and_then_acted_on_at_the_posterior_mean(noise: bool) -> None:
-    learner, collect = small(prior_episodes=4, noisy_exploration=noise), mortal()
+    learner, collect = small(prior_episodes=4, noisy_exploration=noise), Watching()
     fast = learner.fast_learner(learner.init(jax.random.key(0), PROBLEM))
     tasks, keys = jnp.arange(TASKS), jax.random.split(jax.random.key(5), TASKS)
     state, product = fast.init(keys), fast.encoder.none(TASKS)
@@ -174,7 +156,7 @@ def test_a_new_task_is_sampled_and_then_acted_on_at_the_posterior_mean(noise: bo
 
 
 def test_a_search_may_set_its_latent() -> None:
-    learner, collect = small(), mortal()
+    learner, collect = small(), Watching()
     state = learner.init(jax.random.key(0), PROBLEM)
     scaled = eqx.tree_at(lambda state: state.networks.latent_scale, state, jnp.asarray(2.5))
     latent = latent_of(learner.fast_learner(scaled))

@@ -10,14 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.memory import assert_a_probe_of_memory_is_solved
-from learning_problems.probes import HiddenEnd
+from learning_problems.watching import EPISODES, TASKS, Watching
 
-from maesn.axes import TaskKeys
-from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
-from maesn.experience.agent import Agents
-from maesn.experience.episodes import Episodes
-from maesn.experience.trial_state import TrialState
 from maesn.learners import (
     GradientMetaLearner,
     Problem,
@@ -34,10 +29,8 @@ from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import HyperRecurrent, Recurrent
-from maesn.worlds import make_world
-from maesn.worlds.collector import Collector
 
-TASKS, EPISODES, TRIAL = 4, 3, 3
+TRIAL = 3
 DESCENT = MinibatchDescent(epochs=2, minibatches=2)
 
 
@@ -56,27 +49,12 @@ def small(**settings: Any) -> RecurrentMetaLearner:
     )
 
 
-class Watching(Collector):
-    """A collector that keeps what was asked and played."""
-
-    def __init__(self, collect: Collector) -> None:
-        super().__init__(collect.world, collect.episodes_per_task)
-        self.trial_states: list[TrialState | None] = []
-        self.stages: list[int] = []
-        self.played: list[Episodes] = []
-
-    def __call__(self, keys: TaskKeys, agents: Agents, task_index: Any, stage: int = 0) -> Episodes:
-        episodes = super().__call__(keys, agents, task_index, stage)
-        self.trial_states.append(agents.trial_state)
-        self.stages.append(stage)
-        self.played.append(episodes)
-        return episodes
-
-
-def mortal() -> Collector:
-    """Episodes of 2 to 6 steps; what follows is NaN."""
-    lifetimes = np.float32([2, 3, 5, 9])
-    return Collector(make_world(HiddenEnd(horizon=6), TaskSet(lifetimes)), EPISODES)
+def assert_goes_on(collect: Watching) -> None:
+    """A trial begins anew, and each of its episodes goes on from the one before."""
+    assert collect.stages == [0, 1, 2]
+    assert collect.agents[0].trial_state is None
+    for agents, before in zip(collect.agents[1:], collect.played[:-1], strict=True):
+        assert agents.trial_state is before.trial_end
 
 
 def start(learner: RecurrentMetaLearner) -> RecurrentMetaState:
@@ -95,25 +73,21 @@ def start(learner: RecurrentMetaLearner) -> RecurrentMetaState:
 def test_a_meta_iteration_plays_trials_and_improves(
     slots: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    learner, collect = small(**slots), Watching(mortal())
+    learner, collect = small(**slots), Watching()
     state = start(learner)
     after, info = learner.step(jax.random.key(1), state, collect)
     assert int(learner.iteration(after)) == 1
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))
     moved = jax.tree.map(lambda x, y: bool((x != y).any()), state.policy, after.policy)
     assert all(jax.tree.leaves(moved))
-    # A trial begins anew, and each of its episodes goes on from the one before.
-    assert collect.stages == [0, 1, 2]
-    assert collect.trial_states[0] is None
-    for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):
-        assert began is before.trial_end
+    assert_goes_on(collect)
     with jax.log_compiles(), caplog.at_level(logging.WARNING):
         jax.jit(lambda x: x + 1)(0.5)
         assert "Compiling" in caplog.text
         caplog.clear()
         learner.step(jax.random.key(2), after, collect)
     assert "Compiling" not in caplog.text
-    assert [began is None for began in collect.trial_states] == [True, False, False] * 2
+    assert [agents.trial_state is None for agents in collect.agents] == [True, False, False] * 2
     returns = [float(episodes.undiscounted_return.mean()) for episodes in collect.played[:TRIAL]]
     assert float(info.return_before) == pytest.approx(returns[0])
     assert float(info.return_after) == pytest.approx(returns[-1])
@@ -121,7 +95,7 @@ def test_a_meta_iteration_plays_trials_and_improves(
 
 def test_advantages_span_the_trial() -> None:
     """Against loops over the steps that were played, episode after episode."""
-    learner, collect = small(), Watching(mortal())
+    learner, collect = small(), Watching()
     learner.step(jax.random.key(1), start(learner), collect)
     trials = join_episodes(collect.played)
     expected = np.random.default_rng(0).normal(size=trials.valid.shape).astype(np.float32)
@@ -139,10 +113,7 @@ def test_advantages_span_the_trial() -> None:
 
 @cache
 def trials_of_unequal_length() -> Trials:
-    collect = Watching(
-        Collector(make_world(HiddenEnd(horizon=6), TaskSet(np.float32([20, 30, 20, 30]))), EPISODES)
-    )
-    learner = small()
+    collect, learner = Watching(20, 30, 20, 30), small()
     learner.step(jax.random.key(1), start(learner), collect)
     return join_episodes(collect.played)
 
@@ -170,13 +141,10 @@ def test_a_probe_that_needs_memory_across_episodes_is_solved(method: str) -> Non
 
 
 def test_in_a_new_task_the_state_of_the_trials_is_all_that_changes() -> None:
-    learner, collect = small(), Watching(mortal())
+    learner, collect = small(), Watching()
     fast = learner.fast_learner(start(learner))
     adapt(fast, collect, episodes=2 * EPISODES)
-    assert collect.stages == [0, 1, 2]
-    assert collect.trial_states[0] is None
-    for began, before in zip(collect.trial_states[1:], collect.played[:-1], strict=True):
-        assert began is before.trial_end
+    assert_goes_on(collect)
 
 
 def test_too_few_tasks_are_refused() -> None:

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learning_problems.probes import HiddenEnd, HiddenSide
+from learning_problems.probes import HiddenSide
+from learning_problems.watching import EPISODES, TASKS, Watching
 from small_runs import create, finish
 
 from maesn.envs import TaskSet
@@ -39,7 +40,7 @@ from maesn.policies import GaussianMLP, Recurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
-TASKS, EPISODES, TRIAL = 4, 3, 3
+TRIAL = 3
 DESCENT = MinibatchDescent(epochs=2, minibatches=2)
 PROBLEM = Problem(1, 1, TASKS, horizon=6, episodes_per_task=EPISODES)
 SMALL = {
@@ -59,20 +60,6 @@ ALL = HyperBonus(0.1, 0.2, hidden_sizes=(4,), output_size=3, batch_size=5)
 
 def small(**settings: Any) -> VaribadMetaLearner:
     return varibad(**SMALL | settings)
-
-
-class Watching(Collector):
-    """Episodes of 2 to 6 steps; what follows is NaN. It keeps what was played."""
-
-    def __init__(self) -> None:
-        lifetimes = TaskSet(np.float32([2, 3, 5, 9]))
-        super().__init__(make_world(HiddenEnd(horizon=6), lifetimes), EPISODES)
-        self.played: list[Episodes] = []
-
-    def __call__(self, keys: Any, agents: Any, task_index: Any, stage: int = 0) -> Episodes:
-        episodes = super().__call__(keys, agents, task_index, stage)
-        self.played.append(episodes)
-        return episodes
 
 
 def begun(learner: VaribadMetaLearner) -> VaribadState:

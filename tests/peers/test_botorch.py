@@ -5,26 +5,26 @@ from pathlib import Path
 from typing import Any
 
 import botorch
+import botorch_prior as example
 import numpy as np
 import pytest
+import search_peers_methods as methods
+import search_peers_rgpe
 import torch
 from botorch.acquisition import LogExpectedImprovement
 from pages import blocks_of
 from runtime.test_search import ARCHIVE_ALONE, NOISE, PRIOR, peak, targets
 from scipy.stats import norm
-from scripts import ROOT, load_script
+from scripts import ROOT
 
 import maesn
 from maesn.runtime import moments
 
-example = load_script("examples/botorch_prior.py")
 MODEL = ARCHIVE_ALONE.model(PRIOR)
 
 
 @pytest.fixture(autouse=True)
-def benchmarks_on_path(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    monkeypatch.syspath_prepend(ROOT / "examples")
+def any_scale() -> Iterator[None]:
     with botorch.settings.validate_input_scaling(False):
         yield
 
@@ -67,7 +67,7 @@ def test_its_acquisition_is_the_expected_improvement_under_the_moments() -> None
 
 def test_the_ensemble_trusts_training_tasks_that_order_the_new_returns_as_they_are() -> None:
     """The new task is one of them, with other returns in the same order."""
-    ensemble = load_script("benchmarks/search_peers_rgpe.py").Ensemble.of(
+    ensemble = search_peers_rgpe.Ensemble.of(
         torch.as_tensor(PRIOR.latents), torch.as_tensor(PRIOR.excess[:10])
     )
     points = np.argsort(PRIOR.excess[:4])[:, [-1, -5, -10, -20]]
@@ -83,7 +83,6 @@ def test_the_ensemble_trusts_training_tasks_that_order_the_new_returns_as_they_a
 
 @pytest.mark.parametrize("method", range(6))
 def test_every_search_improves_on_a_random_latent(method: int) -> None:
-    methods = load_script("benchmarks/search_peers_methods.py")
     goals, noise = targets(4, seed=2), np.random.default_rng(0)
     search = list(methods.METHODS.values())[method](methods.Known(MODEL), len(goals))
     value = np.stack([peak(PRIOR.latents, goal) for goal in goals])
@@ -95,7 +94,6 @@ def test_every_search_improves_on_a_random_latent(method: int) -> None:
 
 
 def test_of_two_tasks_at_once_each_is_searched_as_alone() -> None:
-    methods = load_script("benchmarks/search_peers_methods.py")
     prior = moments(MODEL, PRIOR.latents)
     points, returns = np.array([[3, 40], [9, 5]]), np.array([[-18.0, -20.0], [-19.0, -11.0]])
     candidates = torch.arange(80, dtype=torch.float64)[:, None]

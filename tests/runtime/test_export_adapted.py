@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from scripts import load_script
+from own_searches import BestOf
 from small_runs import create_tiny
 
 import maesn
@@ -61,7 +61,7 @@ def test_from_what_a_search_has_found_the_gradient_goes_on_as_from_the_prior(
     adapted: tuple[Path, Adapted], tmp_path: Path
 ) -> None:
     run, _ = adapted
-    rule = load_script("examples/own_searches.py").BestOf()
+    rule = BestOf()
     found = api.adapt(run, rule=rule, episodes=2, num_tasks=2, deploy_episodes=1)
     path = api.export(run, tmp_path / "policy.npz", latents=found.latents, task=1)
     explorer = Explorer.load(path)

@@ -1,7 +1,6 @@
 """Collecting episodes: what depends on what, and what is recorded."""
 
 import functools
-import math
 from typing import Any
 
 import jax
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from learning_problems.probes import HiddenEnd
 from playing import agents, assert_same, keys, play
-from scipy import stats
 
 from maesn.envs import AnyEnv, Point, TaskSet, Wheeled, point, wheeled
 from maesn.experience.agent import Agents
@@ -20,7 +18,6 @@ from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 TASKS = {"point": point.task_set("training"), "wheeled": wheeled.task_set("training")}
-MANY = 2000  # episodes
 EXACT = ("valid", "solved", "terminated", "noise")
 
 
@@ -100,43 +97,6 @@ def test_log_probabilities_can_be_recomputed_from_what_is_recorded(env: AnyEnv) 
     np.testing.assert_allclose(recorded, recomputed, rtol=1e-5, atol=1e-5)
 
 
-@pytest.fixture(scope="module")
-def many() -> tuple[Agents, Episodes]:
-    env = Point(horizon=5)
-    cast = agents(env, 2)
-    return cast, play(env, TASKS["point"], [0, 1], episodes=MANY, cast=cast)
-
-
-def assert_independent_normal(columns: np.ndarray) -> None:
-    """Kolmogorov-Smirnov, and correlations below five of their standard errors 1/sqrt(n)."""
-    assert stats.kstest(np.ravel(columns), stats.norm.cdf).pvalue > 1e-4
-    correlation = np.corrcoef(columns.T)
-    np.testing.assert_allclose(
-        correlation, np.eye(len(correlation)), atol=5 / math.sqrt(len(columns))
-    )
-
-
-def test_contexts_are_draws_of_the_slots_latents(many: tuple[Agents, Episodes]) -> None:
-    cast, episodes = many
-    noise = np.asarray(episodes.noise)
-    mean, std = (np.asarray(x)[:, None] for x in (cast.context.mean, jnp.exp(cast.context.log_std)))
-    np.testing.assert_allclose(episodes.z, mean + std * noise, rtol=1e-5, atol=1e-6)
-    # Independent over components, tasks, and neighbouring episodes.
-    columns = np.concatenate([noise[0], noise[1]], axis=-1)
-    assert_independent_normal(np.concatenate([columns[1:], columns[:-1]], axis=-1))
-
-
-def test_actions_are_draws_of_the_recorded_behaviour(many: tuple[Agents, Episodes]) -> None:
-    _, episodes = many
-    behaviour = episodes.behaviour
-    noise = np.asarray((episodes.action - behaviour.mean) / jnp.exp(behaviour.log_std))
-    # Independent over steps and components, of the latent's noise, and of the start (std 0.01).
-    for slot in range(2):
-        start = np.asarray(episodes.observation)[slot, :, 0] / 0.01
-        draws = [noise[slot].reshape(MANY, -1), np.asarray(episodes.noise)[slot], start]
-        assert_independent_normal(np.concatenate(draws, axis=1))
-
-
 def test_policies_of_their_own_equal_shared_ones(env: AnyEnv) -> None:
     first, second = (agents(env, 2, seed=seed) for seed in (0, 1))
     both = jax.tree.map(lambda a, b: jnp.stack([a, b]), first.policy, second.policy)
@@ -159,12 +119,3 @@ def test_masks_of_episodes_that_end_early() -> None:
     assert not np.any(episodes.solved[0, :, 2:])
     np.testing.assert_array_equal(episodes.undiscounted_return[:, 0], [2, 6, 6])
     assert np.isnan(episodes.reward[0, :, 2:]).all()
-
-
-def test_tasks_are_those_of_the_world(env: AnyEnv) -> None:
-    assert collector(env).num_tasks == 100
-    goals = np.asarray(TASKS[env.name][np.array([40, 3])])[:, None, None]
-    episodes = collector(env)(keys(2), agents(env, 2), jnp.array([40, 3]))
-    places = np.asarray(episodes.observation)[:, :, 1:, :2]
-    distance = np.linalg.norm(places - goals, axis=-1)
-    np.testing.assert_allclose(episodes.goal_reward, -distance, rtol=1e-5)

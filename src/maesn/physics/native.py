@@ -1,8 +1,4 @@
-"""The MuJoCo engine on the host: simulations of one model on a pool of threads.
-
-Measured behaviour of `mujoco.batch` on which this file rests is pinned in
-`tests/physics/test_assumptions.py`.
-"""
+"""The MuJoCo engine on the host: simulations of one model on a pool of threads."""
 
 import importlib
 import os
