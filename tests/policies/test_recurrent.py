@@ -156,3 +156,19 @@ def test_misspelt_settings_do_not_count_as_the_other_one(
 ) -> None:
     with pytest.raises(ValueError, match=f"^{message}$"):
         Recurrent(**wrong)
+
+
+def test_a_policy_that_amplifies_its_action_before_stays_finite() -> None:
+    policy = Recurrent(hidden_size=4).init(jax.random.key(0), OBSERVATION, ACTION, 0)
+    threefold = 3.0 * jnp.eye(ACTION)
+    policy = eqx.tree_at(
+        lambda one: one.network.readout.layers[-1].weight,
+        policy,
+        replace_fn=lambda weight: weight.at[OBSERVATION : OBSERVATION + ACTION].set(threefold),
+    )
+    (hidden,), action = fresh_memory(policy)[:1], jnp.ones(ACTION)
+    for _ in range(200):  # 3^200 exceeds single precision
+        seen = PolicyInput(jnp.zeros(OBSERVATION), action, jnp.zeros(()), jnp.zeros((), bool))
+        actions, hidden = advance(policy, seen, jnp.zeros(0), hidden)
+        action = actions.mode()
+    assert 100.0 < jnp.abs(action).max() < 1000.0

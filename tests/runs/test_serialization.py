@@ -11,10 +11,11 @@ from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners import PRESETS, AbstractMetaLearner, maesn
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import AbstractPolicySettings, GaussianMLP
+from maesn.policies import AbstractPolicySettings, GaussianMLP, HyperRecurrent
 from maesn.runs.serialization import (
     digest_of_document,
     from_json,
+    replaced,
     to_json,
 )
 
@@ -40,6 +41,14 @@ def test_a_learner_comes_back_equal(name: str) -> None:
     assert type(back) is type(learner)
     assert back == learner
     assert to_json(back) == to_json(learner)
+
+
+def test_a_slot_is_filled_by_the_name_of_a_type() -> None:
+    changes = {"policy.hidden_size": 8, "policy.type": "HyperRecurrent", "trial_episodes": 4}
+    expected = PRESETS["rl2"](policy=HyperRecurrent(hidden_size=8), trial_episodes=4)
+    assert replaced(PRESETS["rl2"](), changes) == expected
+    with pytest.raises(ValueError, match="HyperRecurent"):
+        replaced(PRESETS["rl2"](), {"policy.type": "HyperRecurent"})
 
 
 def test_different_settings_have_different_digests() -> None:

@@ -14,6 +14,10 @@ from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyIn
 from maesn.policies.heads import AbstractHead, make_head
 from maesn.settings import check_choice
 
+# A policy that amplifies its action before would play ever larger ones. Actions begin with a
+# standard deviation of 1.
+LARGEST_ACTION = 100.0
+
 
 class RecurrentPolicy(AbstractPolicy):
     """pi(a_t | x_0 ... x_t, z) with x_t = (o_t, a_{t-1}, r_{t-1}, start_t).
@@ -153,8 +157,7 @@ def input_size(observation_size: int, action_size: int, z_size: int = 0) -> int:
 
 
 def input_features(policy_input: PolicyInput, z: Float[Array, " z"]) -> Float[Array, " inputs"]:
-    """Return [o_t, a_{t-1}, r_{t-1}, start_t, z] of one step."""
+    """Return [o_t, a_{t-1}, r_{t-1}, start_t, z] of one step; a within +-`LARGEST_ACTION`."""
+    action = jnp.clip(policy_input.previous_action, -LARGEST_ACTION, LARGEST_ACTION)
     scalars = [policy_input.previous_reward, policy_input.episode_start.astype(z.dtype)]
-    return jnp.concatenate(
-        [policy_input.observation, policy_input.previous_action, jnp.stack(scalars), z]
-    )
+    return jnp.concatenate([policy_input.observation, action, jnp.stack(scalars), z])

@@ -1,9 +1,8 @@
 """The rule that searches the latent space, and the prior over returns that it needs."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from maesn.envs import AnyEnv
-from maesn.learners import AbstractFastLearner
 from maesn.rules.base import AbstractRule, Budget, Trained
 from maesn.runtime.return_model import ReturnModel, ReturnPrior, UnlikeModel
 from maesn.search import SearchFastLearner, SearchSettings, latent_of
@@ -35,7 +34,7 @@ class SearchRule(AbstractRule):
     def label(self) -> str:
         return "search"
 
-    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
+    def fast_learner(self, trained: Trained, env: AnyEnv) -> SearchFastLearner:
         latent = latent_of(trained.fast_learner())
         if trained.return_prior is None:
             raise ValueError("a search needs a prior over returns, which is made of a run.")

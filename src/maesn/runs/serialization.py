@@ -96,14 +96,22 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
 
 
 def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Return settings with other JSON values by their path; `KeyError` if there is no such path."""
+    """Return settings with other JSON values by their path; `KeyError` if there is no such path.
+
+    The path `SLOT.type` fills a slot with settings of another type, at their defaults.
+    """
     document = fields_to_json(settings)
-    known = leaves(document)
-    for path, value in changes.items():
-        *parents, last = path.split(".")
-        if path not in known or last == TAG:
+    types_first = sorted(changes.items(), key=lambda change: not change[0].endswith(f".{TAG}"))
+    for path, value in types_first:
+        if path not in leaves(document):
             raise KeyError(path)
-        functools.reduce(dict.__getitem__, parents, document)[last] = value
+        *parents, last = path.split(".")
+        slot = functools.reduce(dict.__getitem__, parents, document)
+        if last == TAG and value != slot[TAG]:
+            slot.clear()
+            slot.update(to_json(_tagged(value, eqx.Module)()))
+        else:
+            slot[last] = value
     return fields_from_json(type(settings), document)
 
 

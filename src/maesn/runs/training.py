@@ -26,7 +26,7 @@ from maesn.runs.config import Change, RunSettings, installed_versions, read_conf
 from maesn.runs.log import Progress, RunLog
 from maesn.runs.process import ending_by_signals
 from maesn.runs.run import CHECKPOINTS, Run
-from maesn.runs.serialization import replaced
+from maesn.runs.serialization import TAG, replaced
 from maesn.runtime.archive import PARTIAL
 from maesn.settings import check_number
 from maesn.storage import RunError, locked, refusals
@@ -228,6 +228,9 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
     `outer.trust_region.damping`. Where a name or a value cannot be used nothing is written.
     """
     own = {name: value for name, value in changes.items() if name in CHANGEABLE}
+    for name in changes:
+        if name.split(".")[-1] == TAG:
+            raise _cannot_change(name)
     with refusals("the change cannot be made: "):
         settings = replaced(run.settings, own)
         try:

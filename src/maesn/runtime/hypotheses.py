@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.posterior import Posterior, Reading, TaskModel, normalized
@@ -151,9 +152,10 @@ class MixedPosterior:
         weights, means, _ = self.predicted(point)
         return Reading(point, float(weights @ means))
 
-    def is_known(self, point: int) -> bool:
-        """Whether a latent would return what it returned before: its episodes have no noise."""
-        return self.parts[0].is_known(self.hypotheses.models[0], point)
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether a latent would return what it did before: no noise, `[point]`."""
+        return self.parts[0].known
 
     def conditioned(self, reading: Reading) -> "MixedPosterior":
         """Return the posterior with one more reading."""

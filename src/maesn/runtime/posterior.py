@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.return_model import ReturnPrior
@@ -80,6 +81,8 @@ class Posterior:
         task_mean: mean of f if the new task is like training task i, `[task, point]`.
         task_offset: mean of c if the new task is like training task i, `[task]`.
         variance: variance of f in each component, `[point]`.
+        noise: variance of one episode's return, `[point]`.
+        is_exact: whether it is 0, but for rounding, `[point]`.
         rows: L^-1 cov(readings, f), `[reading, point]`.
         offset_rows: L^-1 cov(readings, c), `[reading]`.
         readings: the readings so far.
@@ -93,6 +96,8 @@ class Posterior:
     task_mean: FloatArray
     task_offset: FloatArray
     variance: FloatArray
+    noise: FloatArray
+    is_exact: NDArray[np.bool_]
     rows: FloatArray
     offset_rows: FloatArray
     readings: tuple[Reading, ...]
@@ -102,11 +107,15 @@ class Posterior:
     @staticmethod
     def of_prior(model: TaskModel, points: FloatArray) -> "Posterior":
         """Return the distribution at some latents before any reading."""
+        variance = model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points))
+        noise = model.noise(points)
         return Posterior(
             points,
             model.task_means(points),
             np.full(model.num_tasks, model.prior.offset_mean),
-            model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points)),
+            variance,
+            noise,
+            noise <= KNOWN * variance,
             rows=np.zeros((0, len(points))),
             offset_rows=np.zeros(0),
             readings=(),
@@ -136,11 +145,13 @@ class Posterior:
         between = self.task_weights @ (self.task_mean - self.mean) ** 2
         return np.sqrt(between + np.maximum(self.variance, 0.0))
 
-    def is_known(self, model: TaskModel, point: int) -> bool:
-        """Whether a latent would return what it returned before: its episodes have no noise."""
-        played = any(one.point == point for one in self.readings)
-        z = self.points[point : point + 1]
-        return played and float(model.noise(z)[0]) <= KNOWN * float(model.covariance(z, z)[0, 0])
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether a latent would return what it did before: no noise, `[point]`."""
+        known = np.zeros(len(self.points), bool)
+        played = [one.point for one in self.readings]
+        known[played] = self.is_exact[played]
+        return known
 
     def predicted(self, model: TaskModel, point: int, length: float = 1.0) -> Prediction:
         """Return what is predicted of an episode's return, given the readings so far."""
@@ -148,7 +159,7 @@ class Posterior:
         reading_row = self.rows[:, point] + length * self.offset_rows
         covariance = model.covariance(z, self.points)[0] - reading_row @ self.rows
         offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
-        variance = float(covariance[point]) + length * offset + float(model.noise(z)[0])
+        variance = float(covariance[point]) + length * offset + float(self.noise[point])
         mean = self.task_mean[:, point] + length * self.task_offset
         return Prediction(mean, float(np.sqrt(max(variance, 0.0))), covariance, offset)
 
@@ -156,7 +167,7 @@ class Posterior:
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         expected, std, covariance, offset = self.predicted(model, reading.point, reading.length)
         error = reading.episode_return - expected
-        if self.is_known(model, reading.point):
+        if self.known[reading.point]:
             scale = np.inf  # it teaches nothing, so its row is zero
         else:
             nearest, furthest = float(np.abs(error).min()), float(np.abs(error).max())
@@ -176,12 +187,13 @@ class Posterior:
 
     def extended(self, model: TaskModel, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""
+        covariance = model.covariance(self.points[[one.point for one in self.readings]], more)
         rows = np.zeros((len(self.readings), len(more)))
         for index, reading in enumerate(self.readings):
-            j, length = reading.point, reading.length
-            reading_row = self.rows[:index, j] + length * self.offset_rows[:index]
-            covariance = model.covariance(self.points[j : j + 1], more)[0]
-            rows[index] = (covariance - reading_row @ rows[:index]) / self.scales[index]
+            reading_row = (
+                self.rows[:index, reading.point] + reading.length * self.offset_rows[:index]
+            )
+            rows[index] = (covariance[index] - reading_row @ rows[:index]) / self.scales[index]
         before = Posterior.of_prior(model, more)
         task_mean = before.task_mean + self.innovations.T @ rows
         variance = before.variance - (rows**2).sum(axis=0)
@@ -190,6 +202,8 @@ class Posterior:
             points=np.concatenate([self.points, more]),
             task_mean=np.hstack([self.task_mean, task_mean]),
             variance=np.append(self.variance, variance),
+            noise=np.append(self.noise, before.noise),
+            is_exact=np.append(self.is_exact, before.is_exact),
             rows=np.hstack([self.rows, rows]),
         )
 

@@ -77,7 +77,7 @@ class LatentSearch:
     def interval(self, point: int) -> tuple[float, float]:
         """Return the 90 % interval of the return of an episode with a point."""
         posterior, prior = self.posterior, self.model.prior
-        if posterior.is_known(point):
+        if posterior.known[point]:
             returns = {one.point: one.episode_return for one in posterior.readings}
             return returns[point], returns[point]
         is_deployed = point == self.best
@@ -105,7 +105,7 @@ class LatentSearch:
         weights = self.posterior.weights
         component = int(generator.choice(len(weights), p=weights))
         chosen = self.highest(self.open_scores(component, taken))
-        is_explored = self._is_known[self.best] or (
+        is_explored = self.posterior.known[self.best] or (
             chosen == self.best and self._plays(chosen) >= PLAYS
         )
         if self.settings.draws == 0 or not is_explored:
@@ -200,16 +200,9 @@ class LatentSearch:
 
     def open_scores(self, component: int, taken: Collection[int]) -> FloatArray:
         """Return the scores of the points that are worth an episode, -inf for the others."""
-        closed = self._is_known
+        closed = self.posterior.known
         closed[list(taken)] = True
         return np.where(closed, -np.inf, self.scores(component))
-
-    @property
-    def _is_known(self) -> NDArray[np.bool_]:
-        known = np.zeros(len(self.points), bool)
-        for point in {one.point for one in self.posterior.readings}:
-            known[point] = self.posterior.is_known(point)
-        return known
 
     def arrays(self) -> Arrays:
         """Return the arrays to save in a file: all that this search has done."""

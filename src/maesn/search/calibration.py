@@ -59,7 +59,7 @@ def calibrated(
 def _places(state: SearchState, readings: Sequence[Sequence[Reading]]) -> Iterator[float]:
     """Yield where returns lie in what was predicted of them, unless they were known exactly."""
     for search, (reading,) in zip(state.searches, readings, strict=True):
-        if not search.posterior.is_known(reading.point):
+        if not search.posterior.known[reading.point]:
             yield search.posterior.place(reading)
 
 
