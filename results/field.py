@@ -19,7 +19,6 @@ import tyro
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
 
 from maesn.reporting import statistics, style
 from maesn.reporting.reading import EXPLORE, read_adaptation, read_rows
@@ -267,7 +266,7 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
         if value is not None:
             axes.axhline(value, color=style.DARK_GREY, linestyle=line, linewidth=0.8)
     axes.set(title=family, xscale="log", xlim=(0.9, 600), xlabel="episodes")
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_major_formatter("{x:g}")
 
 
 def main(settings: Settings) -> None:

@@ -1,10 +1,13 @@
-"""Make the policy that the package ships for a family out of a finished run.
+"""Make the policies that the package ships out of finished runs.
 
     python results/ship.py runs/wheeled --commit 87cd55a
+    python results/ship.py --study field --out results --commit 87cd55a
 
-writes `src/maesn/trained/FAMILY`: the run's last checkpoint, its `config.json` with where the
-policy comes from as an entry `provenance`, and its prior for the rule `search`. `maesn adapt
-FAMILY` then adapts it on every installation.
+writes `src/maesn/trained/NAME`: the run's last checkpoint, its `config.json` with where the policy
+comes from as an entry `provenance`, and its prior for the rule `search`. NAME is the family, and
+behind it the variant if it is not the usual one: `maesn adapt sparse_point-varibad` then adapts it
+on every installation. Of a study it ships one run for each family, of the first seed: no seed is
+chosen by what it reaches.
 """
 
 import dataclasses
@@ -22,16 +25,24 @@ from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.sources import TASKS_FILE, TRAINED
 from maesn.search.stored import run_prior
 from maesn.settings import leaves
+from maesn.studies.members import RUN
+from maesn.studies.study import JOBS, Study
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """What is shipped."""
 
-    run: tyro.conf.Positional[Path]
-    """Directory of a finished run."""
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Directories of finished runs."""
     commit: str
-    """Of the code that trained it."""
+    """Of the code that trained them."""
+    study: str = ""
+    """A study that has trained runs as well: its name, or the path of its file."""
+    line: str = "maesn"
+    """Name of these runs in the study."""
+    out: Path = Path("results")
+    """Directory of the study."""
 
 
 def command(config: RunConfig) -> str:
@@ -102,12 +113,32 @@ def ship(run: Run, commit: str, target: Path) -> None:
     write_config(target, shipped.config)
 
 
+def runs_of_study(study: str, line: str, out: Path) -> list[Path]:
+    """Return the directory of the first seed of a study's run, for each family."""
+    found = (
+        one.first.needs[0]
+        for comparison in Study.load(study).comparisons
+        for one in comparison.lines["lines"]
+        if one.source == line
+    )
+    return [out / JOBS / job / RUN for job in dict.fromkeys(found)]
+
+
+def name_of(run: Run) -> str:
+    """Return the name of a policy: that of its family, and of its variant if it is unusual."""
+    variant = run.env().variant
+    usual = run.family.make_env().variant
+    return run.family.name if variant == usual else f"{run.family.name}-{variant}"
+
+
 def main(settings: Settings) -> None:
-    """Ship a run under the name of its family."""
-    run = Run.open(settings.run)
-    target = TRAINED / run.family.name
-    ship(run, settings.commit, target)
-    print(target, run_prior(Run.open(target), directory=target)[0])
+    """Ship runs under their names."""
+    of_study = (settings.study, settings.line, settings.out)
+    for path in (*settings.runs, *(runs_of_study(*of_study) if settings.study else ())):
+        run = Run.open(path)
+        target = TRAINED / name_of(run)
+        ship(run, settings.commit, target)
+        print(target, run_prior(Run.open(target), directory=target)[0])
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from scripts import load_script
 from small_runs import Drift, create, finish
 
 from maesn import api, cli
-from maesn.envs import find_family
 from maesn.evaluation.running import open_run
 from maesn.runs.run import Run
 from maesn.runs.sources import TRAINED, find_run, policy_names, working_copy
@@ -37,7 +36,7 @@ def files(directory: Path) -> dict[Path, bytes]:
 @pytest.mark.parametrize("name", POLICIES)
 def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
     run = Run.open(TRAINED / name)
-    assert run.family.name == name
+    assert ship.name_of(run) == name
     assert run.latest().iteration == run.settings.iterations > 0
     assert run.settings.num_threads == 0  # all of those who adapt it
     assert len(run.checkpoints()) == 1
@@ -52,7 +51,7 @@ def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
     ["wheeled", *(pytest.param(n, marks=pytest.mark.long) for n in POLICIES if n != "wheeled")],
 )
 def test_each_adapts_to_tasks_that_it_has_not_seen(name: str) -> None:
-    installed, family = files(TRAINED), find_family(name)
+    installed, family = files(TRAINED), Run.open(TRAINED / name).family
     tasks = family.task_set("test", 20).tasks
     leaves = tasks if isinstance(tasks, tuple) else (tasks,)
     np.savez("twenty.npz", **dict(zip(family.task_names, leaves, strict=True)))

@@ -18,10 +18,10 @@ KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
     "rule": {
         "gradient": GradientRule,
         "search": SearchRule,
-        "stationary": StationaryRule,
-        "random": RandomRule,
         "memory": MemoryRule,
         "none": NoAdaptation,
+        "stationary": StationaryRule,
+        "random": RandomRule,
     },
     "then": {"trpo": ThenTrpo, "reinforce": ThenReinforce},
     "bonus": {"vime": VimeBonus},

@@ -80,12 +80,17 @@ def train_run(
     with closing(train(run)) as iterations:
         for _ in iterations:
             pass
-    seconds = [line["seconds"] for line in storage.read_json_lines(run.directory / TIMING)]
-    return {
-        "environment_steps": run.latest().environment_steps,
-        "training_seconds": round(sum(seconds), 1),
-        "iteration_seconds": round(statistics.median(seconds), 4) if seconds else 0.0,
-    }
+    return {"environment_steps": run.latest().environment_steps, **times(path)}
+
+
+def times(run: Path) -> dict[str, float]:
+    """Return what the training of a run took, and its meta-iterations; nothing if it is pruned."""
+    path = run / TIMING
+    seconds = [line["seconds"] for line in storage.read_json_lines(path)] if path.exists() else []
+    if not seconds:
+        return {}
+    median = statistics.median(seconds)
+    return {"training_seconds": round(sum(seconds), 1), "iteration_seconds": round(median, 4)}
 
 
 def make_prior(member: TrainedRun, asked: Evaluation, directory: Path) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from maesn.reporting.reading import latents_beside, read_rows
 from maesn.reporting.sources import MANIFEST
 from maesn.runs.config import installed_versions
 from maesn.studies.execution import Execution
-from maesn.studies.jobs import EXPLORATION, LATENTS, ROWS
+from maesn.studies.jobs import EXPLORATION, LATENTS, ROWS, times
+from maesn.studies.members import RUN
 from maesn.studies.plan import PlannedComparison, PlannedLine
 from maesn.studies.spec import StudySpec
 
@@ -78,9 +79,10 @@ def _seeds(
             table = _table(comparison, line, member.seed)
             _join([execution.directory / job for job in parts], directory / table)
             steps = trained[0]["environment_steps"] if trained else member.training_steps
-            spent = trained[0] if trained else {}
-            times = {x: spent[x] for x in ("training_seconds", "iteration_seconds") if x in spent}
-            seeds.append({"seed": member.seed, "table": table, "training_steps": steps} | times)
+            seeds.append({"seed": member.seed, "table": table, "training_steps": steps})
+            if trained:
+                found = times(execution.directory / member.needs[0] / RUN) or trained[0]
+                seeds[-1] |= {name: x for name, x in found.items() if name.endswith("_seconds")}
     return seeds
 
 
