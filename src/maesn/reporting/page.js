@@ -62,9 +62,9 @@ class Plane { // of some coordinates, drawn to scale between axes
     this.width = width ?? (PHONE ? 300 : (330 * size[0]) / size[1]);
     this.scale = this.width / size[0];
     this.height = this.scale * size[1];
-    const [wide, high_] = [this.width + MARGIN.left + MARGIN.right, this.height + MARGIN.top + MARGIN.bottom];
-    this.svg = make("svg", { class: "plane", viewBox: `${-MARGIN.left} ${-MARGIN.top} ${wide} ${high_}`,
-      style: `flex-grow: ${wide / high_}`, role: "img", "aria-label": label });
+    const whole = [this.width + MARGIN.left + MARGIN.right, this.height + MARGIN.top + MARGIN.bottom];
+    this.svg = make("svg", { class: "plane", viewBox: [-MARGIN.left, -MARGIN.top, ...whole].join(" "),
+      style: `flex-grow: ${whole[0] / whole[1]}`, role: "img", "aria-label": label });
     this.svg.append(make("rect", { width: this.width, height: this.height, class: "frame" }));
     this.layers = {};
     this.drawAxes(names);
@@ -342,6 +342,7 @@ function beliefOf(found) {
   const duration = found.paths[0].length - 1;
   const steps = player("belief", found.step.length - 1, "Steps", 150, () => show());
   const all = extremes(found.predicted.flat(2));
+  world.layer("heat"); // under the goal
   drawGoals(world, found.task);
 
   function show() {
@@ -361,7 +362,6 @@ function beliefOf(found) {
       `the belief predicts ${number(least, 2)} to ${number(most, 2)}, and its spread is ${number(spread, 2)}.`;
   }
 
-  world.layers.heat ?? world.svg.insertBefore((world.layers.heat = make("g")), world.layers.goals);
   section(`The belief in test task ${found.task}`,
     quiet("The map: the reward, or the chance of one, that the belief predicts of each place, from dark (low) to yellow (high). " +
       "The lines: the belief after each step, its mean and around it its spread."),

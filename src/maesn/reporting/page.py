@@ -50,8 +50,8 @@ def write_page(path: Path, document: Document) -> list[Path]:
 def page_of(study: Compared) -> Document:
     """Return the document of the page of a study, or of one or several runs.
 
-    The latents and paths of runs are those of the first run that has recorded them. A `RunError`
-    says which file is missing or broken.
+    Latents, beliefs and paths of runs are those of the first run that has recorded such. A
+    `RunError` says which file is missing or broken.
     """
     # Of a study the best line alone: it may have many.
     headlines = [
@@ -84,7 +84,7 @@ def _headline(line: Line, comparison: Comparison) -> Document:
     learned = f"after {line.table.episodes[-1]} episodes in the new task"
     return {
         "number": f"{after} %",
-        "name": f"{line.label}, {comparison.family}",
+        "name": f"{line.label}, {comparison.name}",
         "text": f"of the episodes reach the goal {learned}, {before} % at first; "
         f"the mean return goes from {first} to {last}",
     }
@@ -92,7 +92,8 @@ def _headline(line: Line, comparison: Comparison) -> Document:
 
 def _of_runs(series: Sequence[Series]) -> Document:
     runs = [run for one in series for run in one.runs]
-    shown = next((run for run in runs if (run.path / records.EXPLORATION).exists()), runs[0])
+    found = ((x, run) for x in (records.LATENT_PATHS, records.BELIEF) for run in runs)
+    shown = next((run for file, run in found if (run.path / file).exists()), runs[0])
     names = [run.path.resolve().name for run in runs]
     charts = [chart for charts in learning_charts(series).values() for chart in charts]
     return {
