@@ -121,7 +121,7 @@ def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[F
 
     def compute() -> Second:
         with jax.enable_x64(wide):  # a thread does not inherit it from a `with` block
-            return jax.block_until_ready(second())  # type: ignore[no-untyped-call,no-any-return]
+            return jax.block_until_ready(second())  # type: ignore[no-untyped-call]
 
     with ThreadPoolExecutor(1) as pool:
         other = pool.submit(compute)
