@@ -31,7 +31,7 @@ def everything(shared: Any, rows: Any) -> tuple[Any, Any]:
         mesh.total(jax.value_and_grad(part)(weights)),
         no_observations(3).with_batch(observation, valid),
         mesh.total(jnp.ones(())),
-    ), (standardize(values, valid, mean=mesh.mean_of_valid), observation * 2.0)
+    ), (standardize(values, valid, mean=mesh.mean_of_valid), observation * 2.0, values[:, :0])
 
 
 def main() -> None:
@@ -42,7 +42,7 @@ def main() -> None:
     shared = jax.random.key(3), jnp.arange(6.0)
     rows = values, valid, observation
     alone = mesh.over_tasks(everything, shared, rows)
-    (total, mean, gathered, valid_mean, _, statistics, _), (standard, _) = alone
+    (total, mean, gathered, valid_mean, _, statistics, _), (standard, *_) = alone
     np.testing.assert_allclose(total, values.sum(0))
     np.testing.assert_allclose(mean, values.mean())
     np.testing.assert_array_equal(gathered, values)
