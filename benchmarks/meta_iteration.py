@@ -3,9 +3,9 @@
     python benchmarks/meta_iteration.py --family wheeled
 
 The meta-iteration is everything that training does: both collections, advantages, inner update,
-and the outer step. The physics alone is that of the collections, again: see `bare_physics.py`. Both
-are timed in turn in one process, so that what else the machine does falls on both. Compilation is
-excluded and reported apart.
+and the outer step, whose tasks cores share as in `maesn train`. The physics alone is that of the
+collections, again: see `bare_physics.py`. Both are timed in turn in one process, so that what else
+the machine does falls on both. Compilation is excluded and reported apart.
 """
 
 import resource
@@ -23,6 +23,7 @@ from bare_physics import BarePhysics, Recorder
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
 from maesn.learners import PRESETS, AbstractMetaLearner, Problem
+from maesn.numerics.processes import Sharing
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -52,7 +53,7 @@ class Times:
     """Seconds of meta-iterations."""
 
     first: float
-    """Of the first one, with compilation."""
+    """Of the first one, with all that is compiled for it, or found in the cache."""
     whole: np.ndarray
     """Of each timed one."""
     collecting: np.ndarray
@@ -73,13 +74,19 @@ def measure(settings: Settings, learner: AbstractMetaLearner[Any, Any] | None = 
         settings: what is timed.
         learner: the learner instead of `settings.method` with `settings.meta_batch_size` tasks.
     """
+    sharing = Sharing()
+    with sharing.begun():
+        chosen = learner or PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
+        with sharing.of_tasks(chosen.tasks_for_cores):
+            return _measured(settings, chosen)
+
+
+def _measured(settings: Settings, learner: AbstractMetaLearner[Any, Any]) -> Times:
     family = resolve_family(settings.family)
     env = family.make_env(reward_kind="dense")
     assert isinstance(env, AbstractMujocoEnv), f"{settings.family} does not run on MuJoCo"
     world = make_world(env, family.task_set("training"), num_threads=settings.num_threads)
     collect = Recorder(Collector(world, settings.episodes_per_task))
-    if learner is None:
-        learner = PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
     sizes = env.observation_size, env.action_size, collect.num_tasks
     problem = Problem(*sizes, episodes_per_task=settings.episodes_per_task, horizon=env.horizon)
     state = learner.init(jax.random.key(0), problem)
@@ -104,6 +111,11 @@ def measure(settings: Settings, learner: AbstractMetaLearner[Any, Any] | None = 
     return Times(first, *map(np.array, (whole, collecting, bare)))
 
 
+def peak_memory() -> float:
+    """Return the most memory that this process has taken, in GiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
 def report(settings: Settings, times: Times) -> None:
     """Print where the time goes."""
     whole, collecting, bare = times.whole, times.collecting, times.bare
@@ -124,8 +136,7 @@ def report(settings: Settings, times: Times) -> None:
     )
     for name, seconds in rows.items():
         print(f"{name:42s} {seconds:7.3f} s  {seconds / physics:6.2f} x physics")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"peak memory: {peak:.2f} GiB")
+    print(f"peak memory: {peak_memory():.2f} GiB")
     print(f"ratio: {times.ratio:.2f}")
 
 

@@ -5,11 +5,19 @@
 Of the methods that are meta-trained, a meta-iteration (see `meta_iteration.py`); of those that
 learn each task from scratch, an update of all tasks at once, with the episodes before it. Physics
 means the same episodes, again, on the engine alone (see `bare_physics.py`). Both are timed in turn
-in one process. Compilation is excluded.
+in one process. Compilation is excluded; the first meta-iteration or update, with it, has columns of
+its own, `cold` with an empty cache and `warm` with a full one. Last comes the most memory that the
+process has taken.
 """
 
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import jax
@@ -18,7 +26,7 @@ import numpy as np
 import tyro
 from bare_physics import BarePhysics, Recorder
 from meta_iteration import Settings as IterationSettings
-from meta_iteration import Times
+from meta_iteration import Times, peak_memory
 from meta_iteration import measure as measure_iterations
 
 from maesn.envs import AbstractMujocoEnv
@@ -99,30 +107,75 @@ def measure_updates(name: str, settings: Settings) -> Times:
     return Times(whole[0], *timed)
 
 
-def report(name: str, times: Times) -> None:
-    """Print one line of the table."""
-    whole, collecting, bare = map(np.median, (times.whole, times.collecting, times.bare))
-    print(f"{name:15s} {whole:9.3f} {collecting:12.3f} {bare:9.3f} {times.ratio:8.2f}", flush=True)
+def measure(name: str, settings: Settings) -> Times:
+    """Time one method in this process."""
+    if name in settings.scratch:
+        return measure_updates(name, settings)
+    own = recommended_run(name, settings.family) if name == "pearl" else {}
+    chosen = IterationSettings(
+        family=settings.family,
+        episodes_per_task=own.get("episodes_per_task", settings.meta_episodes),
+        iterations=settings.repetitions,
+        first_iteration=SECOND_STAGE,
+    )
+    return measure_iterations(chosen, learner_of(name, settings))
+
+
+def print_row(name: str, settings: Settings) -> None:
+    """Time one method in two processes, and print its line of the table.
+
+    The first one finds nothing compiled, the second one finds everything.
+    """
+    with tempfile.TemporaryDirectory() as cache:
+        cold = _in_process(name, replace(settings, repetitions=0), cache)
+        found = _in_process(name, settings, cache)
+    whole, collecting, bare = (np.median(found[one]) for one in ("whole", "collecting", "bare"))
+    print(
+        f"{name:15s} {whole:9.3f} {collecting:12.3f} {bare:9.3f} {found['ratio']:7.2f} "
+        f"{cold['first']:7.1f} {found['first']:7.1f} {found['peak']:6.2f}",
+        flush=True,
+    )
+
+
+def _in_process(name: str, settings: Settings, cache: str) -> dict[str, Any]:
+    asked = json.dumps(asdict(settings))
+    command = [sys.executable, __file__, "one", name, asked]
+    compiled = {
+        "JAX_COMPILATION_CACHE_DIR": cache,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    done = subprocess.run(
+        command, env=os.environ | compiled, check=True, stdout=subprocess.PIPE, text=True
+    )
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def run_one(name: str, asked: str) -> None:
+    """Time one method in this process, and print its numbers."""
+    times = measure(name, Settings(**json.loads(asked)))
+    lists = {one: getattr(times, one).tolist() for one in ("whole", "collecting", "bare")}
+    ratio = times.ratio if len(times.whole) else math.nan
+    print(json.dumps({**lists, "first": times.first, "ratio": ratio, "peak": peak_memory()}))
 
 
 def main(settings: Settings) -> None:
     """Time all methods."""
     print(f"{settings.family}, {settings.tasks} tasks, median of {settings.repetitions}, seconds")
-    print(f"{'':15s} {'whole':>9s} {'collections':>12s} {'physics':>9s} {'ratio':>8s}")
+    print(
+        f"{'':15s} {'whole':>9s} {'collections':>12s} {'physics':>9s} {'ratio':>7s} "
+        f"{'cold':>7s} {'warm':>7s} {'GiB':>6s}"
+    )
     print(f"a meta-iteration, {settings.meta_episodes} episodes per task and collection")
     for method in settings.methods:
-        own = recommended_run(method, settings.family) if method == "pearl" else {}
-        chosen = IterationSettings(
-            family=settings.family,
-            episodes_per_task=own.get("episodes_per_task", settings.meta_episodes),
-            iterations=settings.repetitions,
-            first_iteration=SECOND_STAGE,
-        )
-        report(method, measure_iterations(chosen, learner_of(method, settings)))
+        print_row(method, settings)
     print(f"an update of all tasks, {settings.scratch_episodes} episodes each")
     for method in settings.scratch:
-        report(method, measure_updates(method, settings))
+        print_row(method, settings)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings))
+    if sys.argv[1:2] == ["one"]:
+        run_one(*sys.argv[2:])
+    else:
+        main(tyro.cli(Settings))

@@ -86,7 +86,7 @@ LINES: dict[str, tuple[dict[str, Any], str, int]] = {
     "methods": (
         {"methods": ("maesn", "pearl"), "scratch": ("reinforce",), "tasks": 2, "meta_episodes": 2}
         | {"scratch_episodes": 2, "repetitions": 1},
-        r"^(?:maesn|pearl|reinforce)(?: +\d+\.\d+){4}$",
+        r"^(?:maesn|pearl|reinforce)(?: +\d+\.\d+){7}$",
         3,
     ),
     # Steps per second, three times, and how far the unlimited engine ends from itself.

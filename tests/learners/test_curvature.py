@@ -171,5 +171,10 @@ def test_task_by_task_is_all_at_once(case: str) -> None:
         return objective.evaluate_at_once(p), loss(p)
 
     evaluations = found(parameters), at_once(parameters)
+    kl = float(evaluations[1][0].kl)
+    bounded = eqx.filter_jit(objective.evaluate)
+    assert bounded(parameters, largest_kl=jnp.asarray(1.01 * kl)) == evaluations[0][0]
+    # The first tasks are enough to know.
+    assert 0.1 * kl < bounded(parameters, largest_kl=jnp.asarray(0.1 * kl)).kl < 0.99 * kl
     for actual, expected in zip(*map(jax.tree.leaves, evaluations), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-13)

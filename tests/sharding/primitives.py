@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from maesn.numerics import mesh, standardize
+from maesn.numerics import mesh, processes, standardize
 from maesn.numerics.normalization import ObservationStatistics, no_observations
+from maesn.numerics.processes import Sharing
 
 TASKS = 8
 
@@ -30,7 +31,7 @@ def everything(shared: Any, rows: Any) -> tuple[Any, Any]:
         mesh.total(jax.value_and_grad(part)(weights)),
         no_observations(3).with_batch(observation, valid),
         mesh.total(jnp.ones(())),
-    ), (standardize(values, valid, mean=mesh.mean_of_valid), observation * 2.0)
+    ), (standardize(values, valid, mean=mesh.mean_of_valid), observation * 2.0, values[:, :0])
 
 
 def main() -> None:
@@ -41,7 +42,7 @@ def main() -> None:
     shared = jax.random.key(3), jnp.arange(6.0)
     rows = values, valid, observation
     alone = mesh.over_tasks(everything, shared, rows)
-    (total, mean, gathered, valid_mean, _, statistics, _), (standard, _) = alone
+    (total, mean, gathered, valid_mean, _, statistics, _), (standard, *_) = alone
     np.testing.assert_allclose(total, values.sum(0))
     np.testing.assert_allclose(mean, values.mean())
     np.testing.assert_array_equal(gathered, values)
@@ -62,6 +63,15 @@ def main() -> None:
             (wanted, whole),
         )
         assert {x.device for x in jax.tree.leaves(cut)} == {jax.devices()[0]}
+    processes.num_cores = lambda: 3
+    for tasks, sharing, expected in (
+        (20, Sharing(), 2),
+        (9, Sharing(), 3),
+        (1, Sharing(), 1),
+        (20, Sharing(devices=1), 1),
+    ):
+        with sharing.of_tasks(tasks):
+            assert mesh.num_devices() == expected
     with mesh.sharing_tasks(jax.devices()[:3]):
         try:
             mesh.check_split(20)

@@ -4,9 +4,14 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import pytest
+
+from maesn.numerics.mesh import at_once
 
 FOLDER = Path(__file__).parent
 
@@ -24,6 +29,22 @@ def test_sums_means_and_shares_of_devices_are_those_of_all_rows() -> None:
         "`meta_batch_size` is 20, which 3 devices cannot share evenly: take 1, 2, 4, 5, 10 or 20 "
         "of them.\n"
     )
+
+
+@pytest.mark.usefixtures("x64")
+def test_two_calls_at_once_meet_and_raise_what_either_raises() -> None:
+    """Each waits for the other, so that one after the other would never end."""
+    meeting = threading.Barrier(2, timeout=60)
+
+    def half(number: float) -> jax.Array:
+        meeting.wait()
+        return jnp.asarray(number)
+
+    found = at_once(lambda: half(1.0), lambda: half(2.0))
+    assert found == (1.0, 2.0)
+    assert [x.dtype for x in found] == ["float64", "float64"]
+    with pytest.raises(ZeroDivisionError):
+        at_once(lambda: jnp.zeros(()), lambda: jnp.asarray(1 / 0))
 
 
 @pytest.mark.long

@@ -168,6 +168,9 @@ def _placed(mesh: Mesh, tree: Any, spec: PartitionSpec) -> Any:
 
 def _own_rows(x: Array) -> Array:
     """Return the rows of this process, on its first device."""
+    if x.size == 0:  # what is empty is never sharded
+        mesh: Mesh = x.sharding.mesh  # type: ignore[attr-defined]
+        return jnp.zeros((x.shape[0] // mesh.size * len(mesh.local_devices), *x.shape[1:]), x.dtype)
     shards = sorted(x.addressable_shards, key=lambda shard: shard.index[0].start or 0)
     return jnp.asarray(np.concatenate([np.asarray(shard.data) for shard in shards]))
 

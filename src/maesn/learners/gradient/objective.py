@@ -111,7 +111,9 @@ class MetaObjective(eqx.Module):
             statistics = statistics.with_batch(episodes.observation[..., :-1, :], episodes.valid)
         return statistics
 
-    def evaluate(self, parameters: MetaParameters, largest_kl: float = math.inf) -> Candidate:
+    def evaluate(
+        self, parameters: MetaParameters, largest_kl: float | Float[Array, ""] = math.inf
+    ) -> Candidate:
         """Return the loss, and the mean KL from the distributions that `post` was drawn from.
 
         Args:
