@@ -151,8 +151,9 @@ def test_tables_sort_and_lines_are_compared(browser: Browser, of_study: Path) ->
     assert [float(text.split()[0]) for text in column(returns)] == ascending[::-1]
     assert HOSTILE in " ".join(column(1))
     page.select_option(".scatter-up", "2")
-    page.locator("details").first.locator("summary").click()
-    assert "evaluation.episodes" in page.locator("details").first.inner_text()
+    settings = page.locator("details").nth(1)
+    settings.locator("summary").click()
+    assert "evaluation.episodes" in settings.inner_text()
     assert page.evaluate("window.hacked") is None
     assert opened.said == []
 
