@@ -52,13 +52,15 @@ def command(config: RunConfig) -> str:
         ValueError: no command trains such a learner.
     """
     method, family = config.settings.method, config.settings.family
+    kind = config.world["action_kind"]  # which a run chooses its policy for
     if method not in PRESETS:
         raise ValueError(f"`method` must be one of {', '.join(PRESETS)}, got {method!r}.")
-    chosen = _changes(config, RunSettings(), PRESETS[method]())
+    chosen = _changes(config, RunSettings(), PRESETS[method]().for_actions(kind))
     words = ["maesn train", method, "--settings reference"]
     if _slots(chosen):
-        suited = RunSettings(**recommended_run(method, family)), recommended(method, family)
-        chosen, words = _changes(config, *suited), words[:2]
+        suited = RunSettings(**recommended_run(method, family))
+        learner = recommended(method, family).for_actions(kind)
+        chosen, words = _changes(config, suited, learner), words[:2]
     if slots := _slots(chosen):
         raise ValueError(f"no option of `maesn train {method}` changes {', '.join(slots)}.")
     return " ".join([*words, *(f"--{name.replace('_', '-')} {x}" for name, x in chosen.items())])
