@@ -33,7 +33,7 @@ def test_a_bias_and_learned_step_sizes_of_theta() -> None:
     # Beside the start, where biases are 0 and step sizes equal.
     here = flat + 0.1 * rng.normal(size=flat.shape)
     evaluate = eqx.filter_jit(lambda x: tuple(objective.evaluate(unravel(x))))
-    slopes = jax.jit(jax.jacrev(lambda x: tuple(objective.evaluate(unravel(x)))))(here)
+    slopes = jax.jit(jax.jacfwd(lambda x: tuple(objective.evaluate(unravel(x)))))(here)
     loss, own = jax.jit(lambda x: objective.loss_and_gradient(unravel(x)))(here)
     np.testing.assert_allclose(loss, evaluate(here)[0], rtol=1e-12)
     np.testing.assert_allclose(ravel_pytree(own)[0], slopes[0], rtol=1e-9, atol=1e-12)

@@ -62,7 +62,7 @@ METHOD_STYLES = {
     "rl2": MethodStyle("RL²", BLACK, "--", "X"),
     "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, ":", "p"),
     "varibad": MethodStyle("VariBAD", BLUISH_GREEN, "--", "d"),
-    "pearl": MethodStyle("PEARL", SKY_BLUE, "-", "p"),
+    "pearl": MethodStyle("PEARL", SKY_BLUE, "-", "8"),
     "vime": MethodStyle("VIME", ORANGE, "--", "h"),
     "trpo": MethodStyle("TRPO", GREY, "-.", "<"),
     "reinforce": MethodStyle("REINFORCE", GREY, ":", ">"),
