@@ -69,6 +69,9 @@ def collect(studies: Sequence[str], out: Path) -> None:
     lines: list[dict[str, Any]] = []
     for study in map(Study.load, studies):
         directory, execution = out / study.spec.name, study.execution(out)
+        if out != HERE.parent:  # where studies may be pruned
+            directory.mkdir(exist_ok=True)
+            study.write_results(out)
         manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
         worlds = {world["name"]: world for world in manifest.get("comparisons", ())}
         for planned, (group, of) in product(
