@@ -18,7 +18,6 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from maesn.reporting import statistics, style
 from maesn.reporting.reading import EXPLORE, read_adaptation, read_rows
@@ -29,21 +28,20 @@ from maesn.storage import read_json, write_rows, write_whole
 from maesn.studies.study import Study
 
 HERE = Path(__file__).parent / "field"
-RESULTS, LINES, PUBLISHED = (
-    HERE / name for name in ("results.csv.gz", "lines.csv", "published.csv")
-)
+RESULTS, LINES, PUBLISHED = map(HERE.joinpath, ("results.csv.gz", "lines.csv", "published.csv"))
 RESULT = ("family", "line", "seed", "task", "episodes", "return", "success")
-LINE = ("family", "line", "label", "kind", "seed", "protocol", "purpose", "trained_for", "steps")
-LINE += ("training", "iteration", "hours_left")  # seconds, seconds, hours
+LINE = ("family", "line", "label", "kind", "tasks", "protocol", "trained_for", "seed", "purpose")
+LINE += ("steps", "training", "iteration", "hours_left")  # seconds, seconds, hours
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
+SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.
 SHOWN = {
     "maesn-random": MethodStyle("random latents", style.GREY, ":", ""),
     **{name: METHOD_STYLES[name] for name in ("maml", "pearl", "rl2", "varibad")},
     "maesn-gradient": MethodStyle("MAESN, gradient", style.ORANGE, "--", "D"),
-    "maesn-search": MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
+    SEARCH: MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
 }
 ORACLE, FLOOR = "oracle", "baseline"
 COSTS = ("seeds", "steps (M)", "minutes", "seconds")  # of training; of a meta-iteration
@@ -53,30 +51,24 @@ Row = Mapping[str, str]
 Returns = Float[np.ndarray, "seed task"]
 
 
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """What is made anew."""
-
-    studies: tuple[str, ...] = ()
-    """Studies whose results are taken: names, or paths of files. None: what is kept."""
-    out: Path = HERE.parent
-    """Directory of the studies."""
-
-
 def collect(studies: Sequence[str], out: Path) -> None:
     """Write the raw results of studies, and what their lines took or would take."""
     results: list[dict[str, Any]] = []
     lines: list[dict[str, Any]] = []
     for study in map(Study.load, studies):
         directory, execution = out / study.spec.name, study.execution(out)
+        if out != HERE.parent:  # where studies may be pruned
+            directory.mkdir(exist_ok=True)
+            study.write_results(out)
         manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
         worlds = {world["name"]: world for world in manifest.get("comparisons", ())}
-        for planned, (group, of) in product(
-            study.comparisons, {"lines": "method", "baselines": FLOOR}.items()
-        ):
+        groups = {"lines": "method", "baselines": FLOOR}.items()
+        for planned, (group, of) in product(study.comparisons, groups):
             found = {line["name"]: line for line in worlds.get(planned.name, {}).get(group, ())}
             for line in planned.lines[group]:
                 about = {"family": planned.name, "line": line.name, "label": line.label, "kind": of}
+                about |= {"tasks": line.asked.tasks, "protocol": line.asked.protocol or ""}
+                about["trained_for"] = line.trial_episodes
                 done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
                 for member, jobs in line.seeds:
                     row = about | {"seed": member.seed}
@@ -84,27 +76,24 @@ def collect(studies: Sequence[str], out: Path) -> None:
                         lines.append(row | {"hours_left": execution.hours_left(jobs)})
                         continue
                     table = read_adaptation(directory / one["table"])
-                    row |= {"protocol": line.asked.protocol, "purpose": table.purpose}
-                    row |= {"trained_for": line.trial_episodes, "steps": one["training_steps"]}
+                    row |= {"purpose": table.purpose, "steps": one["training_steps"]}
                     row |= {x: one.get(f"{x}_seconds") for x in ("training", "iteration")}
                     lines.append(row)
-                    kept = np.flatnonzero(np.isin(table.episodes, EPISODES))
-                    results += (
-                        about
-                        | {"seed": member.seed, "task": task}
-                        | {"episodes": table.episodes[k], "return": table.mean_return[task, k]}
-                        | {"success": table.success_rate[task, k]}
-                        for task, k in product(range(table.num_tasks), kept)
-                    )
+                    for k in np.flatnonzero(np.isin(table.episodes, EPISODES)):
+                        numbers = enumerate(zip(table.mean_return, table.success_rate, strict=True))
+                        at = row | {"episodes": table.episodes[k]}
+                        results += (
+                            at | {"task": task, "return": y[k], "success": reached[k]}
+                            for task, (y, reached) in numbers
+                        )
     for path, rows, names in ((LINES, lines, LINE), (RESULTS, results, RESULT)):
         write_rows(path, [{name: _short(row.get(name)) for name in names} for row in rows])
 
 
 def _short(value: Any) -> str:
-    if value is None:
-        return ""
-    is_whole = not isinstance(value, float | np.floating)
-    return str(value) if is_whole else f"{value:.3f}".rstrip("0").rstrip(".")
+    if isinstance(value, float | np.floating):
+        return f"{value:.3f}".rstrip("0").rstrip(".")
+    return "" if value is None else str(value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,31 +145,31 @@ class Entry:
 
 def entries() -> dict[str, list[Entry]]:
     """Return the lines of each family, from the raw results."""
-    found: dict[tuple[str, str], list[Row]] = {}
-    for row in read_rows(LINES):
-        found.setdefault((row["family"], row["line"]), []).append(row)
-    raw: dict[tuple[str, str], list[Row]] = {}
-    for row in read_rows(RESULTS):
-        raw.setdefault((row["family"], row["line"]), []).append(row)
+    raw = _by_line(RESULTS)
     tables: dict[str, list[Entry]] = {}
-    for (family, line), seeds in found.items():
-        beyond = int(seeds[0].get("trained_for") or max(EPISODES) + 1)
-        cells = dict(_cells(raw.get((family, line), ()), beyond))
-        tables.setdefault(family, []).append(Entry(seeds, cells))
+    for name, seeds in _by_line(LINES).items():
+        beyond = int(seeds[0]["trained_for"] or max(EPISODES) + 1)
+        cells = dict(_cells(raw.get(name, ()), beyond))
+        tables.setdefault(name[0], []).append(Entry(seeds, cells))
     return tables
 
 
+def _by_line(path: Path) -> dict[tuple[str, str], list[Row]]:
+    """Return the rows of a file for each family and line."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in read_rows(path):
+        found.setdefault((row["family"], row["line"]), []).append(row)
+    return found
+
+
 def _cells(rows: Sequence[Row], beyond: int) -> Iterator[tuple[int, Cell]]:
-    """Yield the cells of rows that are in the order of seeds, tasks and episodes."""
-    if not rows:
-        return
-    counts = sorted({int(row["episodes"]) for row in rows})
-    seeds, tasks = (len({row[name] for row in rows}) for name in ("seed", "task"))
-    numbers = np.array([[row["return"], row["success"]] for row in rows], float)
-    grid = numbers.reshape(seeds, tasks, len(counts), 2)
-    for k, count in enumerate(counts):
+    """Yield the cells of rows, in which tasks are in the same order for each seed."""
+    seeds = len({row["seed"] for row in rows})
+    for count in sorted({int(row["episodes"]) for row in rows}):
         if count < beyond:
-            yield count, Cell(grid[:, :, k, 0], grid[:, :, k, 1])
+            here = (row for row in rows if int(row["episodes"]) == count)
+            numbers = np.array([[row["return"], row["success"]] for row in here], float)
+            yield count, Cell(*np.moveaxis(numbers.reshape(seeds, -1, 2), -1, 0))
 
 
 def table(family: str, lines: Sequence[Entry]) -> TextTable:
@@ -217,17 +206,37 @@ def _row(entry: Entry) -> tuple[str, ...]:
         if last.returns.shape[1] >= statistics.FEWEST_TASKS:
             few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
     first, done = entry.seeds[0], entry.done or entry.seeds
-    label = first["label"]
-    if entry.is_floor:
-        label += ", floor"
-    elif done[0]["purpose"] == EXPLORE:
+    label = f"{first['label']}, floor" if entry.is_floor else first["label"]
+    if done[0]["purpose"] == EXPLORE and not entry.is_floor:
         label += ", z drawn"
-    label += f", by {done[0]['protocol']}" if done[0]["protocol"] else ""
+    label += f", by {first['protocol']}" if first["protocol"] else ""
+    label += f", {first['tasks']} tasks" if first["tasks"] != USUAL else ""
     return (label, *(texts.get(count, "-") for count in EPISODES), *few, *entry.costs)
 
 
+def differences(family: str, lines: Sequence[Entry]) -> TextTable:
+    """Return how far search is ahead of other lines after as many episodes, in the same tasks."""
+    few = [count for count in EPISODES if count <= FEW]
+    mine = [one for one in lines if one.seeds[0]["line"] == SEARCH]
+    rows = []
+    for search, one in product(mine, lines):
+        alike = {entry.seeds[0]["tasks"] for entry in (search, one)}
+        if one is search or one.is_floor or not one.cells or len(alike) > 1:
+            continue
+        pairs = [[x.cells[k].returns for x in (search, one) if k in x.cells] for k in few]
+        gaps = (statistics.bootstrap(_gap, *pair) if len(pair) == 2 else None for pair in pairs)
+        texts = (UNITS["mean_return"].text(gap) if gap else "-" for gap in gaps)
+        rows.append((one.seeds[0]["label"], *texts))
+    title = f"{family}: return of search less that of others, and its 95 % interval"
+    return TextTable(title, ("", *map(str, few)), tuple(rows))
+
+
+def _gap(x: statistics.Values, y: statistics.Values) -> Float[np.ndarray, "*batch"]:
+    return statistics.mean(x) - statistics.mean(y)
+
+
 @style.publication_style()
-def figure(tables: Mapping[str, Sequence[Entry]]) -> Figure:
+def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
     """Draw a panel for each family that has results.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
@@ -247,7 +256,8 @@ def figure(tables: Mapping[str, Sequence[Entry]]) -> Figure:
         axes.set_axis_off()
     panels[0].set_ylabel("return")
     drawn.legend(known.values(), known.keys(), loc="outside lower center", ncols=_PANELS)
-    return drawn
+    style.settle(drawn)
+    drawn.savefig(FIGURES / "field.png")
 
 
 def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[float]) -> None:
@@ -269,19 +279,21 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
     axes.xaxis.set_major_formatter("{x:g}")
 
 
-def main(settings: Settings) -> None:
-    """Write the table and the figure."""
-    if settings.studies:
-        collect(settings.studies, settings.out)
+def main(studies: tuple[str, ...] = (), out: Path = HERE.parent) -> None:
+    """Write the table and the figure.
+
+    Args:
+        studies: those whose results are taken: names, or paths of files. None: what is kept.
+        out: directory of the studies.
+    """
+    if studies:
+        collect(studies, out)
     tables = entries()
-    page = to_page([table(family, lines) for family, lines in tables.items()])
+    page = to_page([make(*item) for item in tables.items() for make in (table, differences)])
     write_whole(HERE / "table.md", page.encode())
-    with style.publication_style():
-        drawn = figure(tables)
-        style.settle(drawn)
-        drawn.savefig(FIGURES / "field.png")
+    draw(tables)
     print(HERE / "table.md", FIGURES / "field.png", sep="\n")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings))
+    tyro.cli(main)

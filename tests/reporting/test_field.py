@@ -33,10 +33,13 @@ def write(field: ModuleType, returns: np.ndarray) -> None:
     ]
     text = "\n".join([",".join(field.RESULT), *rows, ""])
     field.RESULTS.write_bytes(gzip.compress(text.encode()))
-    done = ",deploy,{},4000000,60,0.5,"
-    lines = [f"maesn-search,MAESN,method,{seed}," + done.format("") for seed in range(3)]
-    lines += ["rl2,RL2,method,0," + done.format(3), "rl2,RL2,method,1,,,,,,,1.5"]
-    lines += ["varibad,VariBAD,method,0,,,,,,,2.25", "idle,idle,baseline,0,,deploy,,,,,"]
+    done = ",deploy,4000000,60,0.5,"
+    lines = [f"maesn-search,MAESN,method,final,,,{seed}{done}" for seed in range(3)]
+    lines += [f"rl2,RL2,method,final,,3,0{done}", "rl2,RL2,method,final,,3,1,,,,,1.5"]
+    lines += [
+        "varibad,VariBAD,method,final,,,0,,,,,2.25",
+        "idle,idle,baseline,final,,,0,deploy,,,,",
+    ]
     lines = [f"world,{line}" for line in lines]
     field.LINES.write_text("\n".join([",".join(field.LINE), *lines, ""]))
     field.PUBLISHED.write_text(
@@ -45,18 +48,20 @@ def write(field: ModuleType, returns: np.ndarray) -> None:
     )
 
 
+def rows_of(text: str) -> dict[str, dict[str, str]]:
+    """The rows of a table by their first cells, each by the headings."""
+    lines = (line for line in text.splitlines() if line.startswith("|"))
+    head, _, *body = csv.reader(lines, delimiter="|")
+    names = [name.strip() for name in head]
+    return {row[1].strip(): dict(zip(names, map(str.strip, row), strict=True)) for row in body}
+
+
 def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
     returns = np.random.default_rng(0).normal(size=(3, 60, 7)).round(3)
     write(field, returns)
-    field.main(field.Settings())
+    field.main()
     text = (field.HERE / "table.md").read_text()
-    head, _, *body = csv.reader(
-        (line for line in text.splitlines() if line.startswith("|")), delimiter="|"
-    )
-    found = {
-        row[1].strip(): dict(zip(map(str.strip, head), map(str.strip, row), strict=True))
-        for row in body
-    }
+    found = rows_of(text.partition("less that of others")[0])
     search, memory, undone, others = (found[x] for x in ("MAESN", "RL2", "VariBAD", "others"))
     for k, count in enumerate(COUNTS):
         shown, _, _ = search[str(count)].partition(" ")
@@ -74,3 +79,12 @@ def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
     assert (others["1"], others["20"]) == ("5", "7.8 ±0.6")
     assert "others: another budget" in text
     assert (field.HERE / "field.png").exists()
+    # The search has three seeds of which the memory is the first.
+    ahead = rows_of(text.partition("less that of others")[2])
+    assert list(ahead) == ["RL2"]
+    gap = returns[:, :, 1].mean() - returns[0, :, 1].mean()
+    shown, _, interval = ahead["RL2"]["1"].partition(" ")
+    assert float(shown) == pytest.approx(gap, abs=0.05)
+    low, high = map(float, interval.strip("[]").split(", "))
+    assert low < gap < high
+    assert ahead["RL2"]["20"] == "-"
