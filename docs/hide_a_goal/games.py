@@ -91,7 +91,7 @@ class Robot:
         prior = {name: getattr(self.prior, name) for name in PRIOR_NUMBERS} | {
             "noise": self.prior.noise.tolist(),
             "excess": packed(self.prior.excess.astype(np.float32)),
-            "jump": self.model.unlike().jump,  # from eigenvalues, which the page does not compute
+            "jump": self.model.jump,  # from eigenvalues, which the page does not compute
         }
         return {name: getattr(self, name) for name in plain} | {
             "goals": self.training_goals.tolist(),

@@ -126,9 +126,9 @@ class ReturnModel:
         spread = float((centred**2).mean())
         noise = np.maximum(prior.noise / prior.episodes, _LEAST_NOISE * spread)
         kernel, average_noise = self._kernel(self.archive, self.archive), float(noise.mean())
-        self._jump = max(roughness(kernel, centred) - average_noise, 0.0) if jumps else 0.0
-        signal = max(spread - average_noise - self._jump, _LEAST_NOISE * spread)
-        gram = signal * kernel + np.diag(noise + self._jump)
+        self.jump = max(roughness(kernel, centred) - average_noise, 0.0) if jumps else 0.0
+        signal = max(spread - average_noise - self.jump, _LEAST_NOISE * spread)
+        gram = signal * kernel + np.diag(noise + self.jump)
         self._weights = (
             signal * np.linalg.solve(gram, centred.T) if spread else np.zeros_like(centred.T)
         )
@@ -150,7 +150,7 @@ class ReturnModel:
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Return R(z, z'), the covariance of residual and jumps, `[first, second]`."""
         same = (first[:, None] == second[None]).all(axis=-1)
-        return self.residual * matern(first, second, self.reach) + self._jump * same
+        return self.residual * matern(first, second, self.reach) + self.jump * same
 
     def explained(self, length: float = 1.0) -> tuple[float, float]:
         """Return the smallest and the largest return that the prior explains of an episode.
@@ -158,7 +158,7 @@ class ReturnModel:
         Its length l is a share of the horizon.
         """
         prior = self.prior
-        std = np.sqrt(prior.noise + self.residual + self._jump + (length * prior.offset_std) ** 2)
+        std = np.sqrt(prior.noise + self.residual + self.jump + (length * prior.offset_std) ** 2)
         low, high = self._extremes + length * prior.offset_mean
         return float((low - BEYOND * std).min()), float((high + BEYOND * std).max())
 
