@@ -1,11 +1,12 @@
 """The table and the figure of the field: every method on every task set, few episodes apart.
 
-    python results/field.py                                # both, of what is in results/field
-    python results/field.py --studies field field_robots   # that anew, from what these studies have
+    python results/field.py    # both, of what is in results/field
+    python results/field.py --studies field results/field_robots.toml    # anew, from studies
 
 `field/results.csv.gz` has the return of each seed in each task; `field/lines.csv` what the training
-of each seed took, and what the seeds that are not done would take. `field/published.csv` has
-numbers of others, and limits. The table is `field/table.md`, the figure docs/figures/field.png.
+of each seed took, and what the seeds that are not done would take. A training that several lines
+need is counted in each of them. `field/published.csv` has numbers of others, and limits. The table
+is `field/table.md`, the figure docs/figures/field.png.
 """
 
 import dataclasses
@@ -57,7 +58,7 @@ def collect(studies: Sequence[str], out: Path) -> None:
     lines: list[dict[str, Any]] = []
     for study in map(Study.load, studies):
         directory, execution = out / study.spec.name, study.execution(out)
-        if out != HERE.parent:  # where studies may be pruned
+        if out.resolve() != HERE.parent.resolve():  # where studies may be pruned
             directory.mkdir(exist_ok=True)
             study.write_results(out)
         manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
@@ -66,7 +67,9 @@ def collect(studies: Sequence[str], out: Path) -> None:
         for planned, (group, of) in product(study.comparisons, groups):
             found = {line["name"]: line for line in worlds.get(planned.name, {}).get(group, ())}
             for line in planned.lines[group]:
-                about = {"family": planned.name, "line": line.name, "label": line.label, "kind": of}
+                # A shipped policy is one of MAESN.
+                name = line.name.replace(f"shipped_{planned.name}-", "maesn-")
+                about = {"family": planned.name, "line": name, "label": line.label, "kind": of}
                 about |= {"tasks": line.asked.tasks, "protocol": line.asked.protocol or ""}
                 about["trained_for"] = line.trial_episodes
                 done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
@@ -224,15 +227,18 @@ def differences(family: str, lines: Sequence[Entry]) -> TextTable:
         if one is search or one.is_floor or not one.cells or len(alike) > 1:
             continue
         pairs = [[x.cells[k].returns for x in (search, one) if k in x.cells] for k in few]
-        gaps = (statistics.bootstrap(_gap, *pair) if len(pair) == 2 else None for pair in pairs)
+        gaps = (_gap(*pair) if len(pair) == 2 else None for pair in pairs)
         texts = (UNITS["mean_return"].text(gap) if gap else "-" for gap in gaps)
         rows.append((one.seeds[0]["label"], *texts))
     title = f"{family}: return of search less that of others, and its 95 % interval"
     return TextTable(title, ("", *map(str, few)), tuple(rows))
 
 
-def _gap(x: statistics.Values, y: statistics.Values) -> Float[np.ndarray, "*batch"]:
-    return statistics.mean(x) - statistics.mean(y)
+def _gap(first: Returns, second: Returns) -> statistics.Interval:
+    """Return by how much the first is ahead in the tasks that both have, which come first."""
+    tasks = min(first.shape[1], second.shape[1])
+    pair = first[:, :tasks], second[:, :tasks]
+    return statistics.bootstrap(lambda x, y: statistics.mean(x) - statistics.mean(y), *pair)
 
 
 @style.publication_style()

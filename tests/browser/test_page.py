@@ -95,13 +95,14 @@ def test_a_search_is_watched(browser: Browser, of_run: Path) -> None:
     page = opened.page
     # It opens with the first episode that reaches the goal.
     assert opened.text("#search-said").startswith("Episode 2 returns −250.5 and reaches the goal.")
-    assert page.locator(".played").count() == 2
+    assert page.locator(".played").count() == page.locator(".number").count() == 2
     cell = page.locator("#search-plane rect[fill]").first
     before = cell.get_attribute("fill")
     page.select_option("#search-kind", "std")
     assert cell.get_attribute("fill") != before
     page.locator("#search-slider").focus()
     page.keyboard.press("Home")
+    assert page.locator(".number").count() == 0
     said = opened.text("#search-said")
     assert said.startswith("Before any episode. ")
     assert " Next it tries z = (" in said

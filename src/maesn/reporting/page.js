@@ -19,6 +19,8 @@ function make(name, attributes = {}, ...children) {
 }
 make.SVG = new Set(["svg", "g", "path", "circle", "rect", "text", "title"]);
 
+function text(x, y, words, attributes) { return make("text", { x, y, ...attributes }, words); }
+
 function section(title, ...children) {
   const card = make("section", {}, make("h2", {}, title), ...children);
   main.append(card);
@@ -71,10 +73,11 @@ class Plane { // of some coordinates, drawn to scale between axes
   }
   drawAxes([across, up]) {
     const middle = { "text-anchor": "middle" };
-    for (const x of ticks(this.low[0], this.high[0])) this.text(this.to([x, 0])[0], this.height + 16, short(x), middle);
-    for (const y of ticks(this.low[1], this.high[1])) this.text(-7, this.to([0, y])[1] + 4, short(y), { "text-anchor": "end" });
-    this.text(this.width / 2, this.height + 34, across, middle);
-    this.text(0, 0, up, { ...middle, transform: `translate(${12 - MARGIN.left} ${this.height / 2}) rotate(-90)` });
+    this.svg.append(
+      ...ticks(this.low[0], this.high[0]).map((x) => text(this.to([x, 0])[0], this.height + 16, short(x), middle)),
+      ...ticks(this.low[1], this.high[1]).map((y) => text(-7, this.to([0, y])[1] + 4, short(y), { "text-anchor": "end" })),
+      text(this.width / 2, this.height + 34, across, middle),
+      text(0, 0, up, { ...middle, transform: `translate(${12 - MARGIN.left} ${this.height / 2}) rotate(-90)` }));
   }
   layer(name) { // its content begins anew
     if (!this.layers[name]) this.svg.append((this.layers[name] = make("g")));
@@ -96,7 +99,6 @@ class Plane { // of some coordinates, drawn to scale between axes
     const corners = points.map((point) => this.to(point).map((value) => value.toFixed(1)).join(" "));
     return make("path", { d: `M${corners.join("L")}`, class: kind });
   }
-  text(x, y, words, attributes = {}) { this.svg.append(make("text", { x, y, ...attributes }, words)); }
   heat(values, [least, most], [low, high]) { // rows of numbers over a rectangle
     const layer = this.layer("heat");
     const [[left, bottom], [right, top]] = [this.to(low), this.to(high)];
@@ -306,7 +308,7 @@ function searches(found) {
     found.played[at].slice(0, done).forEach((z, index) => {
       const [x, y] = beliefs.to(inside(z));
       marks.append(make("circle", { cx: x, cy: y, r: 9, class: index === done - 1 ? "played now" : "played" }));
-      marks.append(beliefs.text(x, y, String(index + 1), { class: "number" }));
+      marks.append(text(x, y, String(index + 1), { class: "number" }));
     });
     marks.append(beliefs.circle(inside(found.deployed[at][done]), 14, { class: "star" }));
     marks.append(beliefs.circle(inside(found.deployed[at][done]), 14, { class: "star inner" }));
