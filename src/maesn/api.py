@@ -80,6 +80,8 @@ def resume(
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
+    This holds on the same number of devices: another number changes the last digits.
+
     Args:
         run: Directory of the run.
         iterations: Total number of meta-iterations; None: what the run was started with.

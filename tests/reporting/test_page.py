@@ -16,6 +16,7 @@ from synthetic_runs import (
 )
 
 from maesn.reporting.page import PAGE, page_of, rounded, write_page
+from maesn.reporting.runs import BELIEF, LATENT_PATHS
 from maesn.reporting.sources import compare_runs
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -83,6 +84,15 @@ def test_what_is_missing_is_none(tmp_path: Path) -> None:
     unsearched = write_run(tmp_path / "unsearched")
     (unsearched / "figures" / "searches.npz").unlink()
     assert run_page(unsearched)["plane"]["search"] is None
+
+
+def test_latents_and_beliefs_of_different_runs_share_a_page(tmp_path: Path) -> None:
+    runs = [write_run(tmp_path / str(seed), seed=seed) for seed in (0, 1)]
+    for run, file in zip(runs, (BELIEF, LATENT_PATHS), strict=True):
+        (run / file).unlink()
+    plane = page_of(compare_runs(runs))["plane"]
+    assert plane["explorer"] is not None
+    assert plane["belief"] is not None
 
 
 def test_hostile_names_stay_texts(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from maesn.context import BiasContext, LatentContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
 from maesn.learners import PRESETS, AbstractMetaLearner, maesn
 from maesn.learners.gradient.outer import TrustRegionOuterStep
+from maesn.learners.policy_steps import ProximalStep
+from maesn.numerics.minibatch_descent import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP, HyperRecurrent
 from maesn.runs.serialization import digest_of_document, from_json, replaced, to_json
@@ -44,6 +46,18 @@ def test_a_slot_is_filled_by_the_name_of_a_type() -> None:
     assert replaced(PRESETS["rl2"](), changes) == expected
     with pytest.raises(ValueError, match="HyperRecurent"):
         replaced(PRESETS["rl2"](), {"policy.type": "HyperRecurent"})
+    with pytest.raises(ValueError, match=r"`policy\.type`: `RecurrentPolicy` has no defaults"):
+        replaced(PRESETS["rl2"](), {"policy.type": "RecurrentPolicy"})
+
+
+def test_a_type_brings_the_slots_inside_of_it() -> None:
+    changes = {
+        "policy_step.descent.epochs": 3,
+        "policy_step.descent.type": "MinibatchDescent",
+        "policy_step.type": "ProximalStep",
+    }
+    step = ProximalStep(descent=MinibatchDescent(epochs=3))
+    assert replaced(PRESETS["rl2"](), changes) == PRESETS["rl2"](policy_step=step)
 
 
 def test_different_settings_have_different_digests() -> None:

@@ -49,9 +49,11 @@ def outer_loss(
 def clipped_loss(
     new: AbstractDistribution, episodes: Episodes, advantages: Advantages, clip: float
 ) -> Float[Array, ""]:
-    """The same with clipped probability ratios r (PPO, Schulman et al. 2017, equation 7).
+    """The same with clipped probability ratios (PPO, Schulman et al. 2017, equation 7).
 
     L = -mean_{e,t}[ min(r A_t, clip(r, 1 - clip, 1 + clip) A_t) ]
+
+    where r are the ratios.
     """
     ratio = _ratio(new, episodes)
     bounded = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)

@@ -113,7 +113,8 @@ def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[F
     """Return what two independent calls of `over_tasks` return, each computed on its own thread.
 
     On a CPU, XLA computes a program of small products on one core. Where devices share the tasks,
-    the calls follow each other: their sums must meet in the same order on all devices.
+    the calls follow each other: their sums must meet in the same order on all devices. Of JAX's
+    settings in `with` blocks, the second call's thread takes over `enable_x64` alone.
     """
     if _mesh.get() is not None:
         return first(), second()

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -24,12 +23,17 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class Sharing:
-    """Which devices and processes share the tasks of a meta-batch. No result depends on it."""
+    """Which devices and processes share the tasks of a meta-batch.
+
+    Random draws do not depend on it. Sums over tasks do, in their last digits, and training makes
+    such differences grow.
+    """
 
     devices: int | None = None
     """Number of devices of each process, which share the tasks of a meta-batch. On a CPU, devices
-    are threads. None: one; but as many as there are cores, if they divide the tasks, for a method
-    whose inner update moves the policy's weights, unless several processes train the run."""
+    are threads. None: one; but for a method whose inner update moves the policy's weights, the
+    largest number up to that of the cores which divides the tasks, unless several processes train
+    the run."""
     coordinator: str | None = None
     """Address of process 0 as HOST:PORT, if several processes train one run. auto: under Slurm and
     Open MPI, JAX finds the address, the number of processes and their indices by itself."""
@@ -74,7 +78,7 @@ class Sharing:
 
     @contextlib.contextmanager
     def of_tasks(self, tasks: int) -> Iterator[None]:
-        """Let as many cores as divide the tasks share them, if it was left open how many.
+        """Let the largest number of cores that divides the tasks share them, if it was left open.
 
         Args:
             tasks: `AbstractMetaLearner.tasks_for_cores`.
@@ -114,8 +118,8 @@ ALONE = Sharing()
 def num_cores() -> int:
     """Return the number of cores that this process may compute on."""
     found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    # XLA's own limit on its threads.
-    return min(found or 1, int(os.environ.get("NPROC", sys.maxsize)))
+    limit = os.environ.get("NPROC", "")  # XLA's own limit on its threads
+    return max(1, min(found or 1, int(limit))) if limit.isdecimal() else found or 1
 
 
 def _request_cpu_devices(number: int) -> None:

@@ -88,7 +88,8 @@ class TrustRegion(eqx.Module):
         Args:
             parameters: the parameters before the step.
             evaluate: returns the loss, and the mean KL from the distributions at `parameters`. It
-                is not differentiated. Beyond `max_kl`, any larger numbers will do for both.
+                is not differentiated. Where the KL exceeds `max_kl`, the loss may be anything, and
+                the KL any number above it.
             loss_and_gradient: returns the same loss, and its gradient.
             distribution: returns the action distributions `[*batch, action]`, for the curvature.
             weight: weight of each of them in the mean KL; they sum to 1 where all tasks have steps.

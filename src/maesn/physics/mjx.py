@@ -59,7 +59,7 @@ class MjxEngine:
     Raises:
         EngineError: MJX is not installed.
         ValueError: MJX lacks something that the model or the readings need, or an argument is out
-            of range.
+            of range. Else it raises as `load_model`.
     """
 
     def __init__(

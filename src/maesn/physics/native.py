@@ -52,7 +52,8 @@ class NativeSimulator:
 
     Raises:
         EngineError: the installed MuJoCo is older than 4.0.
-        ValueError: an argument is out of range, or MuJoCo knows no reading of that name.
+        ValueError: an argument is out of range, or MuJoCo knows no reading of that name. Else it
+            raises as `load_model`.
     """
 
     def __init__(

@@ -43,7 +43,10 @@ class View(NamedTuple):
 
 
 def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos"]) -> View:
-    """Return the part of the floor that the moving bodies of a model cover in some states."""
+    """Return the part of the floor that the moving bodies of a model cover in some states.
+
+    Raises as `load_model`.
+    """
     compiled = load_model(model)
     data = mujoco.MjData(compiled)
     moves = compiled.body_weldid[compiled.geom_bodyid] != 0
@@ -68,8 +71,7 @@ class Renderer:
         height: of the pictures, in pixels.
 
     Raises:
-        RenderingError: the system has no library to draw with.
-        FileNotFoundError: there is no such model.
+        RenderingError: the system has no library to draw with. Else it raises as `load_model`.
     """
 
     def __init__(
@@ -94,7 +96,9 @@ class Renderer:
         *,
         ringed: bool = False,
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture of one state, in metres on the floor.
+        """Return a picture of one state.
+
+        Positions and lengths are in metres, on the floor.
 
         Args:
             qpos: generalised positions.

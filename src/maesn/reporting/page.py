@@ -50,8 +50,8 @@ def write_page(path: Path, document: Document) -> list[Path]:
 def page_of(study: Compared) -> Document:
     """Return the document of the page of a study, or of one or several runs.
 
-    Latents, beliefs and paths of runs are those of the first run that has recorded such. A
-    `RunError` says which file is missing or broken.
+    Latents and paths of runs are those of the first run that has recorded latents, the belief that
+    of the first that has recorded one. A `RunError` says which file is missing or broken.
     """
     # Of a study the best line alone: it may have many.
     headlines = [
@@ -92,14 +92,18 @@ def _headline(line: Line, comparison: Comparison) -> Document:
 
 def _of_runs(series: Sequence[Series]) -> Document:
     runs = [run for one in series for run in one.runs]
-    found = ((x, run) for x in (records.LATENT_PATHS, records.BELIEF) for run in runs)
-    shown = next((run for file, run in found if (run.path / file).exists()), runs[0])
+    latents, beliefs = (
+        [run for run in runs if (run.path / file).exists()]
+        for file in (records.LATENT_PATHS, records.BELIEF)
+    )
+    shown, *_ = (*latents, *beliefs, runs[0])
+    believing, *_ = (*beliefs, shown)
     names = [run.path.resolve().name for run in runs]
     charts = [chart for charts in learning_charts(series).values() for chart in charts]
     return {
         "title": f"{' and '.join(one.style.label for one in series)} on {shown.family}",
         "subtitle": ", ".join(names),
-        "plane": _plane(shown),
+        "plane": _plane(shown, believing),
         "learning": [_chart(one) for one in charts if _is_known(one)],
         "provenance": _settings(names, [leaves(read_json(x.path / "config.json")) for x in runs]),
     }
@@ -138,8 +142,11 @@ def _chart(chart: Chart) -> Document:
     return {"svg": picture, "about": f"{chart.title} {chart.y} over {chart.x}: {lines}".strip()}
 
 
-def _plane(run: RecordedRun) -> Document | None:
-    """Return what is drawn in the plane of the world; None for what was not recorded."""
+def _plane(run: RecordedRun, believing: RecordedRun) -> Document | None:
+    """Return what is drawn in the plane of the world; None for what was not recorded.
+
+    The belief is that of the second run.
+    """
     explored = read_recorded(records.RecordedExploration, run.path / records.EXPLORATION)
     if explored is None:
         return None
@@ -154,7 +161,7 @@ def _plane(run: RecordedRun) -> Document | None:
     ends = rounded(adapted.mean[:, -1]) if adapted else []
     paths = read_recorded(records.LatentPaths, run.path / records.LATENT_PATHS)
     searches = read_recorded(records.RecordedSearches, run.path / records.SEARCHES)
-    belief = read_recorded(records.RecordedBelief, run.path / records.BELIEF)
+    belief = read_recorded(records.RecordedBelief, believing.path / records.BELIEF)
     return {
         "goals": rounded(explored.goals),
         "radius": explored.sparse_radius,

@@ -125,7 +125,7 @@ def save_figure(drawn: Drawn, directory: Path, name: str) -> list[Path]:
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
-    """Return a settled figure as `png`, `pdf` or `svg`."""
+    """Return a figure as `png`, `pdf` or `svg`."""
     content = io.BytesIO()
     undated: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     figure.savefig(content, format=kind, metadata=undated.get(kind), transparent=kind == "svg")

@@ -1,4 +1,4 @@
-"""Controls of a search: what is left of it without the training tasks, and without any model."""
+"""Controls of a search: one knows only mean and variance of the training tasks, one has no model."""
 
 from dataclasses import replace
 from functools import partial
@@ -34,14 +34,14 @@ class StationaryRule(SearchRule):
         return "stationary process"
 
     def model(self, prior: ReturnPrior) -> ReturnModel:
-        known = self.settings.model(prior)
-        alike = known.unlike(wider=1.0)
-        alike.prior = known.prior  # where the goal is never near, returns are familiar
-        return alike
+        return self.settings.model(prior).unlike(wider=1.0, shifted=False)
 
 
 class RandomRule(AbstractRule):
-    """Play latents drawn at random; deploy the one with the highest return so far."""
+    """Play latents drawn at random; deploy the one with the highest return so far.
+
+    Before the first episode, latent 0 is deployed.
+    """
 
     budget: ClassVar[Budget] = Budget(20, 1, 5)
 
@@ -57,7 +57,7 @@ class RandomRule(AbstractRule):
 
 
 class RandomState(eqx.Module):
-    """State of `RandomLatents`, one element per task."""
+    """State of `RandomLatents`: one number of updates, and an element per task of all else."""
 
     keys: TaskKeys
     best: Float[Array, "task z"]

@@ -98,18 +98,25 @@ def digest_of_document(document: Mapping[str, Any]) -> str:
 def replaced(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return settings with other JSON values by their path; `KeyError` if there is no such path.
 
-    The path `SLOT.type` fills a slot with settings of another type, at their defaults.
+    The path `SLOT.type` fills a slot with settings of another type, at their defaults. It is a
+    `ValueError` if these have none.
     """
     document = fields_to_json(settings)
-    types_first = sorted(changes.items(), key=lambda change: not change[0].endswith(f".{TAG}"))
-    for path, value in types_first:
+    # A type brings the slots inside of it.
+    order = sorted(changes, key=lambda path: (not path.endswith(f".{TAG}"), path.count(".")))
+    for path, value in ((path, changes[path]) for path in order):
         if path not in leaves(document):
             raise KeyError(path)
         *parents, last = path.split(".")
         slot = functools.reduce(dict.__getitem__, parents, document)
         if last == TAG and value != slot[TAG]:
+            kind = _tagged(value, eqx.Module)
+            try:
+                default = kind()
+            except TypeError as error:
+                raise ValueError(f"`{path}`: `{value}` has no defaults.") from error
             slot.clear()
-            slot.update(to_json(_tagged(value, eqx.Module)()))
+            slot.update(to_json(default))
         else:
             slot[last] = value
     return fields_from_json(type(settings), document)

@@ -55,8 +55,8 @@ def take(
     """Return one array of a file in double precision; a size of its shape that is -1 may be any.
 
     Raises:
-        ValueError: it is missing, of another shape, not a number, or infinite where that is not
-            allowed, as in limits that do not exist.
+        ValueError: it is missing, of another shape, not a number, or infinite without
+            `allow_infinite`, which is for limits that do not exist.
     """
     if name not in arrays:
         raise ValueError(f"array `{name}` is missing from the file; write it again.")

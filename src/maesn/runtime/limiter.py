@@ -27,7 +27,7 @@ class Limiter:
             )
 
     def control(self, action: FloatArray, before: FloatArray | None) -> FloatArray:
-        """Return what to execute for an action, `[action]`; no control is before the first step."""
+        """Return what to execute for an action, `[action]`; `before` is None at the first step."""
         start = self._rest if before is None else before
         control = self.actuators.control(action)
         slow = clipped(control, start - self._max_change, start + self._max_change)

@@ -108,7 +108,8 @@ class ReturnModel:
             to k and to R for each latent by itself.
 
     Attributes:
-        num_tasks: components of the mixture, one for each training task.
+        num_tasks: components of the mixture, one for each training task; 1 for `unlike`, whose only
+            mean is the average over the training tasks.
         archive: the latents that a search chooses from, `[latent, z]`.
         residual: variance of R.
         reach: length scale of R.
@@ -168,12 +169,13 @@ class ReturnModel:
         other.prior = replace(self.prior, offset_std=max(self.prior.offset_std, widest))
         return other
 
-    def unlike(self, wider: float = _WIDER) -> "ReturnModel":
+    def unlike(self, wider: float = _WIDER, *, shifted: bool = True) -> "ReturnModel":
         """Return the model of a task unlike all training tasks: one stationary Gaussian process.
 
-        Its mean is that over the training tasks, and f varies over `wider` times the distance.
+        Its mean is that over the training tasks, and f varies over `wider` times the distance. c is
+        as in `shifted`, or else as in the training tasks.
         """
-        other = self.shifted()
+        other = self.shifted() if shifted else copy.copy(self)
         other.num_tasks, other.residual = 1, self._variance
         other.reach = wider * self._length_scale
         return other

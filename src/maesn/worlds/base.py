@@ -150,8 +150,11 @@ class AbstractWorld(ABC):
             size: width and height of the pictures, in pixels.
 
         Returns:
-            Whether the environments draw themselves. Only foreign ones can, else it is a
-            `SimulationFailure`; `maesn.worlds.Scene` draws the states of all others.
+            Whether the environments draw themselves. Only foreign ones can; `maesn.worlds.Scene`
+            draws the states of all others.
+
+        Raises:
+            SimulationFailure: an environment cannot be used.
         """
         return False
 

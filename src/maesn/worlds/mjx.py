@@ -21,7 +21,9 @@ _STATE = ("qpos", "qvel")
 
 
 class MjxWorld(AbstractWorld):
-    """Plays an `AbstractMujocoEnv` on JAX's device, which manages its own threads.
+    """Plays an `AbstractMujocoEnv` on JAX's device.
+
+    `num_threads` has no effect: JAX manages its own threads.
 
     Raises:
         EngineError: MJX is not installed.

@@ -67,7 +67,10 @@ class AbstractStepper(ABC):
     def renderer(self, task: Any) -> Renderer | None:
         """Return what lets the environments draw themselves, as those of others may; None if not.
 
-        Any task does, for an environment that can be asked, or that is a `SimulationFailure`.
+        The environment is asked with the task, and any task will do.
+
+        Raises:
+            SimulationFailure: the environment cannot be used.
         """
         return None
 

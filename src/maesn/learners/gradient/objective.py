@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -120,6 +119,7 @@ class MetaObjective(eqx.Module):
             parameters: where they are evaluated.
             largest_kl: bound on the mean KL. If some tasks alone exceed it, the others are left
                 out: no divergence is negative, so the KL that is returned exceeds the bound too.
+                The loss then means nothing.
         """
         tasks = self.index.shape[0]
         enough = largest_kl * tasks * mesh.num_shards()
@@ -200,18 +200,17 @@ class MetaObjective(eqx.Module):
 
     def _task(self, row: Int[Array, ""]) -> "MetaObjective":
         """Return the objective of a single task."""
-        shared, rows = self.parts()
-        return self.of_parts(shared, jax.tree.map(lambda x: x[row][None], rows))
+        return self._alone(jax.tree.map(lambda x: x[row], self.parts()[1]))
+
+    def _alone(self, row: Any) -> "MetaObjective":
+        """Return the objective of a single task, from its row of `parts`."""
+        return self.of_parts(self.parts()[0], jax.tree.map(lambda x: x[None], row))
 
     def _each(self, function: Callable[["MetaObjective"], Any]) -> Any:
         """Map a function of the objective of a single task over the tasks."""
-
-        def one(*row: Any) -> Any:
-            index, pre, post, advantages = jax.tree.map(lambda x: x[None], row)
-            return function(replace(self, index=index, pre=pre, post=post, advantages=advantages))
-
         # In turn, because the activations of one task fit in a CPU's cache; those of all do not.
-        return map_tasks(one, self.index, self.pre, self.post, self.advantages, how="serial")
+        rows = self.parts()[1]
+        return map_tasks(lambda *row: function(self._alone(row)), *rows, how="serial")
 
 
 def _mean_over_tasks(stacked: Any) -> Any:
