@@ -24,6 +24,7 @@ from scripts import load_script
 from maesn import cli
 from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
+from maesn.learners import PRESETS
 from maesn.policies import GaussianMLP
 from maesn.policies.usual import USUAL
 from maesn.reporting import report
@@ -31,10 +32,12 @@ from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import write_report
 from maesn.reporting.sources import compare_study
 from maesn.reporting.tables import TextTable
+from maesn.runs.log import METRICS
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
-from maesn.studies.execution import AbstractExecutor, Execution
+from maesn.studies.execution import SECONDS_TO_BEGIN, AbstractExecutor, Execution
 from maesn.studies.executors import LocalPool, Ray
-from maesn.studies.jobs import Job
+from maesn.studies.jobs import STEPS_PER_SECOND, Job
+from maesn.studies.members import RUN
 from maesn.studies.spec import (
     RECORDED,
     EvaluationSpec,
@@ -339,6 +342,20 @@ def test_estimates_of_time_say_what_they_rest_on(tmp_path: Path) -> None:
         said = Execution(jobs, tmp_path).left(workers)
         assert said.startswith(f"About {minutes} min left with {workers} at a time")
         assert "jobs of the same kind" in said
+
+
+def test_estimates_count_what_is_left_of_a_training_and_how_long_it_learns(tmp_path: Path) -> None:
+    an_hour = 3600 * STEPS_PER_SECOND
+    job = Job("train-x", (), an_hour, lambda directory: {}, iterations=4, effort=2 * an_hour)
+    log = tmp_path / job.name / RUN / METRICS
+    log.parent.mkdir(parents=True)
+    log.write_text("{}\n{}\n{}\n")
+    left = Execution({job.name: job}, tmp_path).hours_left([job.name])
+    assert left == pytest.approx((2 + SECONDS_TO_BEGIN / 3600) / 4)
+    efforts = {name: preset().effort(1000, 1) for name, preset in PRESETS.items()}
+    assert {name for name, effort in efforts.items() if effort == 1000} >= {"maesn", "latent_space"}
+    slow = ("maml", "rl2", "varibad", "pearl")
+    assert [efforts[name] for name in slow] == [2000, 2000, 4000, 101_000]
 
 
 SCRIPT = """

@@ -268,6 +268,17 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """
         return 1
 
+    def effort(self, steps: int, iterations: int) -> float:
+        """Return the work of a training, for estimates of time: by default, its steps.
+
+        A method that takes longer on a step than most returns more.
+
+        Args:
+            steps: environment steps that the training plays.
+            iterations: number of its meta-iterations.
+        """
+        return steps
+
     @abstractmethod
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         """Return the number of episodes that the first so many meta-iterations play, in all.

@@ -1,4 +1,4 @@
-"""Controls of a search: one knows only mean and variance of the training tasks, one has no model."""
+"""Controls of a search: one knows mean and variance of the training tasks, one has no model."""
 
 from dataclasses import replace
 from functools import partial

@@ -14,22 +14,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from maesn.storage import RunError, is_locked, read_json, write_json
-from maesn.studies.jobs import DONE, Job
+from maesn.studies.jobs import DONE, STEPS_PER_SECOND, Job
 
 Say: TypeAlias = Callable[[str], None]
 
 FAILED = "failed.json"
 ATTEMPTS = 3  # a job may fail because its process was killed
 
-# A guess for jobs of a kind that has not been computed yet: the start, with compilation, and then
-# the speed of one thread.
+# A guess for jobs of a kind that has not been computed yet: the start, with compilation.
 SECONDS_TO_BEGIN = 10
-STEPS_PER_SECOND = 50_000
-# How many times longer some methods train on a step: VariBAD and RL2 go through trials one step
-# after the other, MAML differentiates through its weights.
-EFFORT = {"varibad": 4, "rl2": 2, "maml": 2}
-# Seconds that PEARL takes in a meta-iteration for its gradient steps, however many steps it plays.
-GRADIENT_SECONDS = {"pearl": 2.0}
 
 
 class AbstractExecutor(ABC):
@@ -146,7 +139,7 @@ class Execution:
             if (name := wanted.pop()) not in counted and name not in done:
                 counted.add(name)
                 wanted += self.jobs[name].needs
-        return sum(self._estimate(self.jobs[name], done)[0] for name in counted) / 3600
+        return sum(self._seconds_left(self.jobs[name], done)[0] for name in counted) / 3600
 
     def _found(self) -> dict[str, dict[str, Any]]:
         """Return `done.json` of all jobs that are done, by their names."""
@@ -159,39 +152,35 @@ class Execution:
         rests_on = dict[str, None]()
         for job in self.jobs.values():
             if job.name not in done:
-                share = 1 - job.progress(self.directory / job.name)
-                takes, basis = self._estimate(job, done)
+                own, basis = self._seconds_left(job, done)
                 rests_on[basis] = None
-                seconds += share * takes
+                seconds += own
                 before = (ends.get(name, 0.0) for name in job.needs)
-                ends[job.name] = share * takes + max(before, default=0.0)
+                ends[job.name] = own + max(before, default=0.0)
         if not rests_on:
             return "All jobs are done."
         minutes = math.ceil(max(seconds / workers, *ends.values()) / 60)
         left = f"{minutes / 60:,.0f} hours" if minutes > 180 else f"{minutes} min"
         return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
 
+    def _seconds_left(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
+        """Return the estimate for what is left of a job, and what says so."""
+        takes, basis = self._estimate(job, done)
+        return (1 - job.progress(self.directory / job.name)) * takes, basis
+
     def _estimate(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
         """Return the seconds that a job takes, and what says so: jobs of its kind and family."""
         kind = job.name.split("-")[:2]
         like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
         work = sum(
-            _seconds(self.jobs[name]) * one["steps"] / max(self.jobs[name].steps, 1)
+            self.jobs[name].seconds * one["steps"] / max(self.jobs[name].steps, 1)
             for name, one in like.items()
         )
         if work:
             seconds = sum(one["seconds"] for one in like.values())
-            return _seconds(job) * seconds / work, "what jobs of the same kind took"
+            return job.seconds * seconds / work, "what jobs of the same kind took"
         return (
-            SECONDS_TO_BEGIN + _seconds(job),
+            SECONDS_TO_BEGIN + job.seconds,
             f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, "
             "as on `point` and `wheeled`, or fewer where a method learns more from each",
         )
-
-
-def _seconds(job: Job) -> float:
-    """Return the seconds that a job takes once it has begun, by its steps and its method."""
-    of_method = (x for x in (*EFFORT, *GRADIENT_SECONDS) if f"-{x}-seed-" in job.name)
-    method = next(of_method, "") if job.iterations else ""
-    steps = EFFORT.get(method, 1) * job.steps / STEPS_PER_SECOND
-    return steps + job.iterations * GRADIENT_SECONDS.get(method, 0.0)

@@ -28,6 +28,8 @@ from maesn.search.stored import bound_to, prior_file, read_prior, run_prior
 from maesn.studies.members import RUN, AbstractMember, TrainedRun
 
 DONE, ROWS, LATENTS, EXPLORATION = "done.json", "rows.csv", "latents.npz", "exploration.npz"
+# Speed of one thread, on `point` and `wheeled`.
+STEPS_PER_SECOND = 50_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +46,13 @@ class Job:
     """Writes results into the job's directory, and returns more entries for `done.json`."""
     iterations: int = 0
     """Meta-iterations of a training."""
+    effort: float | None = None
+    """`AbstractMetaLearner.effort` of a training; None for other jobs, of which it is `steps`."""
+
+    @property
+    def seconds(self) -> float:
+        """A guess of the time that it takes, once it has begun."""
+        return (self.steps if self.effort is None else self.effort) / STEPS_PER_SECOND
 
     def progress(self, directory: Path) -> float:
         """Return the share of a training that is done, from 0 to 1; 0 for other jobs."""

@@ -137,7 +137,9 @@ class _Planner:
                 for job in one.needs:
                     learner, settings = one.run.learner, one.run.settings
                     work = partial(train_run, learner, settings, one.init_from)
-                    self.add(job, (), _steps_of_training(one.run), work, settings.iterations)
+                    steps, iterations = _steps_of_training(one.run), settings.iterations
+                    effort = one.run.learner.effort(steps, iterations)
+                    self.add(job, (), steps, work, iterations, effort)
         return self.runs[name]
 
     def evaluations(

@@ -136,6 +136,10 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         first = self.initial_tasks if iterations else 0
         return (first + iterations * self.batches * self.visited_tasks) * episodes_per_task
 
+    def effort(self, steps: int, iterations: int) -> float:
+        # The gradient steps of an iteration take 2 seconds, in which others train on so many steps.
+        return steps + 100_000 * iterations
+
     def check_batch(self, episodes_per_task: int) -> None:
         """See `AbstractMetaLearner.check_batch`: one device learns, because one holds the replay.
 

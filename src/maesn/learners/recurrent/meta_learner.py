@@ -112,6 +112,9 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
 
+    def effort(self, steps: int, iterations: int) -> float:
+        return 2 * steps  # policy and value go through trials step by step
+
     def slots(self) -> tuple[Any, ...]:
         """Return how the policy is improved."""
         return (type(self), type(self.policy_step))
