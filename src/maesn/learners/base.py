@@ -268,7 +268,7 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
         """
         return 1
 
-    def effort(self, steps: int, iterations: int) -> float:
+    def effort(self, steps: int, iterations: int) -> int:
         """Return the work of a training, for estimates of time: by default, its steps.
 
         A method that takes longer on a step than most returns more.

@@ -46,7 +46,7 @@ class Job:
     """Writes results into the job's directory, and returns more entries for `done.json`."""
     iterations: int = 0
     """Meta-iterations of a training."""
-    effort: float | None = None
+    effort: int | None = None
     """`AbstractMetaLearner.effort` of a training; None for other jobs, of which it is `steps`."""
 
     @property

@@ -126,7 +126,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         collections = self.inner_updates + self.outer_batches
         return iterations * collections * self.meta_batch_size * episodes_per_task
 
-    def effort(self, steps: int, iterations: int) -> float:
+    def effort(self, steps: int, iterations: int) -> int:
         # The gradient through an update of the weights takes as long again.
         return steps if self.adaptation.policy is None else 2 * steps
 

@@ -136,7 +136,7 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         first = self.initial_tasks if iterations else 0
         return (first + iterations * self.batches * self.visited_tasks) * episodes_per_task
 
-    def effort(self, steps: int, iterations: int) -> float:
+    def effort(self, steps: int, iterations: int) -> int:
         # The gradient steps of an iteration take 2 seconds, in which others train on so many steps.
         return steps + 100_000 * iterations
 

@@ -112,7 +112,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
 
-    def effort(self, steps: int, iterations: int) -> float:
+    def effort(self, steps: int, iterations: int) -> int:
         return 2 * steps  # policy and value go through trials step by step
 
     def slots(self) -> tuple[Any, ...]:

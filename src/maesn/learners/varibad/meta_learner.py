@@ -150,7 +150,7 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
 
-    def effort(self, steps: int, iterations: int) -> float:
+    def effort(self, steps: int, iterations: int) -> int:
         return 4 * steps  # encoder, decoder and policy go through trials step by step
 
     def for_actions(self, kind: ActionKind) -> "VaribadMetaLearner":
