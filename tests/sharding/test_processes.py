@@ -13,13 +13,23 @@ import jax
 import numpy as np
 import pytest
 
-from maesn.numerics.processes import Sharing
+from maesn.numerics.processes import Sharing, num_cores
 from maesn.storage import RunError, read_json_lines
 
 SETTINGS = [
     *("--family", "point", "--meta-batch-size", "8", "--episodes-per-task", "5"),
     *("--num-threads", "1", "--checkpoint-every", "2", "--outer.trust-region.cg-steps", "5"),
 ]
+
+
+@pytest.mark.parametrize(("limit", "cores"), [("1", 1), ("0", 1), ("many", None), ("", None)])
+def test_cores_are_at_least_one_and_at_most_the_limit_if_it_is_a_number(
+    monkeypatch: pytest.MonkeyPatch, limit: str, cores: int | None
+) -> None:
+    monkeypatch.delenv("NPROC", raising=False)
+    found = num_cores()
+    monkeypatch.setenv("NPROC", limit)
+    assert num_cores() == (cores or found)
 
 
 def free_port() -> int:
