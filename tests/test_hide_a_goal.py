@@ -22,8 +22,8 @@ def build(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_the_page_holds_its_sources_and_its_own_prior(build: ModuleType) -> None:
     page = build.PAGE.read_text("utf-8")
-    for name in ("page.css", "page.js"):
-        assert (SOURCES / name).read_text("utf-8") in page
+    for path in build.SOURCES:
+        assert path.read_text("utf-8") in page
     robots = {
         robot.name: robot
         for robot in load_script("docs/hide_a_goal/games.py").read_page(build.PAGE)

@@ -19,6 +19,7 @@ import numpy as np
 import tyro
 from games import ATTEMPTS, SEARCH, SEED, SHOWN, STRIDE, UNIT, Game, Recording, Robot, shares
 
+from maesn import reporting
 from maesn.envs.blockpush import BAND_HEIGHT, GOAL_X, LOWEST_Y, NUM_BLOCKS
 from maesn.runs.run import Run
 from maesn.runtime.return_model import ReturnPrior
@@ -28,6 +29,8 @@ from maesn.search.stored import prior_file, read_prior
 from maesn.worlds.collector import Collector
 
 HERE = Path(__file__).parent
+ELEMENTS = Path(reporting.__file__).parent / "elements.js"  # of the report page as well
+SOURCES = (HERE / "page.css", ELEMENTS, HERE / "page.js")
 PAGE = HERE.parent / "site" / "hide_a_goal.html"
 # Reward at the goal, reward lost per metre, and the norm; see `maesn.envs`.
 REWARDS = {"wheeled": (0.0, 1.0, 2), "blockpush": (0.0, 5.0, 2), "ant": (4.0, 1.0, 1)}
@@ -162,8 +165,8 @@ def write_page(robots: Sequence[Robot], out: Path) -> None:
         "stride": STRIDE,
     }
     page = (HERE / "page.html").read_text("utf-8")
-    for name in ("page.css", "page.js"):
-        page = page.replace(f"<!-- {name} -->", (HERE / name).read_text("utf-8"), 1)
+    for path in SOURCES:
+        page = page.replace(f"<!-- {path.name} -->", path.read_text("utf-8"), 1)
     out.write_text(page.replace("<!-- data -->", json.dumps(document, allow_nan=False), 1), "utf-8")
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB")
 

@@ -1,4 +1,3 @@
-"use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
 const ATTEMPTS = data.uniforms.length;
 const FIRST = 250, MOTION = 650, PAUSE = 150; // ms: before the first attempt, of an attempt, after it
@@ -210,17 +209,6 @@ const ABOUT = {
 const BLOCK = 0.03, GOAL_X = [0.75, 0.95], BAND = 0.2, LOWEST = -0.5; // metres; maesn/envs/blockpush.py
 const NEAREST = 1, FARTHEST = 2.8; // metres, of a goal anywhere
 const now = { robot: null, scene: 0, goal: null, track: 0, anywhere: false, game: 0, frame: 0 };
-
-function make(name, attributes, ...children) {
-  const isSvg = ["circle", "g", "path", "rect"].includes(name);
-  const node = isSvg ? document.createElementNS("http://www.w3.org/2000/svg", name) : document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
-    else node.setAttribute(key, value);
-  }
-  node.append(...children);
-  return node;
-}
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const percent = (share) => `${Math.round(100 * share)}\u00a0%`;

@@ -1,23 +1,9 @@
-"use strict";
-// Texts of the data are only ever set as textContent or attributes: they cannot become markup.
 const data = JSON.parse(document.getElementById("data").textContent);
 const main = document.getElementById("main");
 const VIRIDIS = ["#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725"];
 const PHONE = innerWidth < 720; // planes stand below one another
 
 // ---- elements ---------------------------------------------------------------------------------
-
-function make(name, attributes = {}, ...children) {
-  const isSvg = make.SVG.has(name);
-  const node = isSvg ? document.createElementNS("http://www.w3.org/2000/svg", name) : document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
-    else node.setAttribute(key, value);
-  }
-  node.append(...children);
-  return node;
-}
-make.SVG = new Set(["svg", "g", "path", "circle", "rect", "text", "title"]);
 
 function text(x, y, words, attributes) { return make("text", { x, y, ...attributes }, words); }
 

@@ -40,6 +40,7 @@ def write_page(path: Path, document: Document) -> list[Path]:
     for name, content in {
         "style": own.joinpath("page.css").read_text("utf-8"),
         "data": text.replace("<", "\\u003c"),  # no text can end the element, or begin a comment
+        "elements": own.joinpath("elements.js").read_text("utf-8"),
         "program": own.joinpath("page.js").read_text("utf-8"),
     }.items():
         page = page.replace(f"<!-- {name} -->", content, 1)
