@@ -19,7 +19,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners.base import AbstractFastLearner
+from maesn.learners.fast import AbstractFastLearner
 from maesn.reporting.runs import (
     BELIEF,
     LATENT_PATHS,

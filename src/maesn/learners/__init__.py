@@ -1,11 +1,9 @@
 """Learners: what improves inside a task, and what learns to, across tasks."""
 
-from maesn.learners.base import AbstractFastLearner as AbstractFastLearner
-from maesn.learners.base import AbstractMetaLearner as AbstractMetaLearner
-from maesn.learners.base import AbstractSettableLatent as AbstractSettableLatent
-from maesn.learners.base import Capabilities as Capabilities
-from maesn.learners.base import Problem as Problem
-from maesn.learners.base import Purpose as Purpose
+from maesn.learners.fast import AbstractFastLearner as AbstractFastLearner
+from maesn.learners.fast import AbstractSettableLatent as AbstractSettableLatent
+from maesn.learners.fast import Capabilities as Capabilities
+from maesn.learners.fast import Purpose as Purpose
 from maesn.learners.gradient.fast_learner import GradientFastLearner as GradientFastLearner
 from maesn.learners.gradient.fast_learner import GradientFastState as GradientFastState
 from maesn.learners.gradient.info import GradientInfo as GradientInfo
@@ -17,6 +15,8 @@ from maesn.learners.gradient.outer import AbstractOuterStep as AbstractOuterStep
 from maesn.learners.gradient.outer import FirstOrderOuterStep as FirstOrderOuterStep
 from maesn.learners.gradient.outer import ProximalOuterStep as ProximalOuterStep
 from maesn.learners.gradient.outer import TrustRegionOuterStep as TrustRegionOuterStep
+from maesn.learners.meta import AbstractMetaLearner as AbstractMetaLearner
+from maesn.learners.meta import Problem as Problem
 from maesn.learners.pearl.encoder import EncoderSettings as EncoderSettings
 from maesn.learners.pearl.fast_learner import PearlFastLearner as PearlFastLearner
 from maesn.learners.pearl.fast_learner import PearlFastState as PearlFastState

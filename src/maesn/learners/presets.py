@@ -9,9 +9,10 @@ from typing import Any
 
 from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.learners.base import AbstractFastLearner, AbstractMetaLearner
+from maesn.learners.fast import AbstractFastLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
+from maesn.learners.meta import AbstractMetaLearner
 from maesn.learners.pearl.meta_learner import PearlMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner

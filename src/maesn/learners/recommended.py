@@ -6,7 +6,7 @@ from importlib.resources import files
 from typing import Any, TypeVar
 
 from maesn import policies
-from maesn.learners.base import AbstractMetaLearner
+from maesn.learners.meta import AbstractMetaLearner
 from maesn.learners.presets import PRESETS
 from maesn.settings import leaves
 

@@ -7,7 +7,7 @@ from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.trial_state import TrialState
-from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
+from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.policies import AbstractPolicy
 
 

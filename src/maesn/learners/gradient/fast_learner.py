@@ -15,12 +15,7 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import (
-    AbstractFastLearner,
-    AbstractSettableLatent,
-    Capabilities,
-    Purpose,
-)
+from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Capabilities, Purpose
 from maesn.learners.gradient.exported import exported_learner
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy

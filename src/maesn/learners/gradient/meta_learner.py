@@ -19,7 +19,7 @@ from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, concatenate
 from maesn.inner.adaptation import Adaptation, StepSchedule
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners.base import AbstractMetaLearner, Capabilities, Problem
+from maesn.learners.fast import Capabilities
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
 from maesn.learners.gradient.inner_update import adapt, estimate
@@ -30,6 +30,7 @@ from maesn.learners.gradient.objective import (
     start_agents,
 )
 from maesn.learners.gradient.outer import AbstractOuterStep, TrustRegionOuterStep
+from maesn.learners.meta import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.numerics.mesh import check_split, over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations

@@ -13,7 +13,7 @@ from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.base import AbstractFastLearner, AbstractSettableLatent, Purpose
+from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.learners.pearl.encoder import ContextEncoder, Factors
 from maesn.learners.pearl.policy import SquashedPolicy
 from maesn.learners.pearl.replay import transitions_of

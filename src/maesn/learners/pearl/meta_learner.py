@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import Key, ObservedReward
 from maesn.context import Latent
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.base import AbstractMetaLearner, Problem
+from maesn.learners.meta import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.pearl.encoder import ContextEncoder, EncoderSettings
 from maesn.learners.pearl.fast_learner import PearlFastLearner

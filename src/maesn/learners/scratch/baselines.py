@@ -13,7 +13,7 @@ from maesn.axes import ActionKind, TaskKeys
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
+from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, CategoricalMLP, GaussianMLP
 from maesn.policies.heads import MINIMUM_STD
 

@@ -18,7 +18,7 @@ from maesn.context import Nothing
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
-from maesn.learners.base import AbstractFastLearner, Purpose
+from maesn.learners.fast import AbstractFastLearner, Purpose
 from maesn.learners.policy_steps import AbstractPolicyStep, GradientStep, TrustRegionStep
 from maesn.learners.trials import trials_of
 from maesn.learners.wrappers.bonus import BonusFastLearner

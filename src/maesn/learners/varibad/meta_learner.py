@@ -19,7 +19,7 @@ from maesn.axes import ActionKind, Key, ObservedReward
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.base import AbstractMetaLearner, Problem, TaskBelief
+from maesn.learners.meta import AbstractMetaLearner, Problem, TaskBelief
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.trial_learner import RecurrentFastLearner

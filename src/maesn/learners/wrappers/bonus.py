@@ -14,7 +14,7 @@ from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import check_observed
-from maesn.learners.base import AbstractFastLearner, Capabilities, Purpose
+from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
 from maesn.numerics.tasks import map_tasks
 

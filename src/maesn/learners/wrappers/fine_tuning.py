@@ -16,7 +16,7 @@ from maesn.axes import TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes, concatenate
-from maesn.learners.base import AbstractFastLearner, Capabilities, FastState, Purpose
+from maesn.learners.fast import AbstractFastLearner, Capabilities, FastState, Purpose
 from maesn.learners.scratch.policy_gradient import (
     PolicyGradientState,
     PolicyImprovement,
