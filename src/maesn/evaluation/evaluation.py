@@ -30,9 +30,9 @@ class Evaluation:
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     rule: AnyRule = None
-    """What happens in a new task: gradient, search, memory or none, the controls stationary and
-    random, or `module:name` of your own; behind it its settings, as in `--rule gradient
-    step_scale=2`. None: what the method prescribes. `maesn list` has all settings."""
+    """What happens in a new task: gradient, search, its control stationary, memory or none, or
+    `module:name` of your own; behind it its settings, as in `--rule gradient step_scale=2`. None:
+    what the method prescribes. `maesn list` has all settings."""
     wrappers: AnyWrappers = ()
     """What is added to the rule, such as fine-tuning or a bonus."""
     episodes: int | None = None

@@ -4,7 +4,6 @@ from maesn.rules.base import AbstractRule as AbstractRule
 from maesn.rules.base import AbstractWrapper as AbstractWrapper
 from maesn.rules.base import Budget as Budget
 from maesn.rules.base import Trained as Trained
-from maesn.rules.controls import RandomRule as RandomRule
 from maesn.rules.controls import StationaryRule as StationaryRule
 from maesn.rules.prescribed import FixedAgents as FixedAgents
 from maesn.rules.prescribed import GradientRule as GradientRule

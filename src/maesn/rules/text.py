@@ -6,7 +6,7 @@ from typing import Any
 
 from maesn.envs.sources import imported
 from maesn.rules.base import AbstractRule, AbstractWrapper
-from maesn.rules.controls import RandomRule, StationaryRule
+from maesn.rules.controls import StationaryRule
 from maesn.rules.prescribed import GradientRule, MemoryRule, NoAdaptation
 from maesn.rules.search import SearchRule
 from maesn.rules.wrappers import ThenReinforce, ThenTrpo, VimeBonus
@@ -21,7 +21,6 @@ KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
         "memory": MemoryRule,
         "none": NoAdaptation,
         "stationary": StationaryRule,
-        "random": RandomRule,
     },
     "then": {"trpo": ThenTrpo, "reinforce": ThenReinforce},
     "bonus": {"vime": VimeBonus},
