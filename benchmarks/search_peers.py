@@ -141,7 +141,6 @@ def cell(line: dict) -> str:
 def main(settings: Settings) -> None:
     """Print the table, and write it."""
     torch.set_num_threads(1)
-    botorch.settings.validate_input_scaling(False)
     settings.out.mkdir(parents=True, exist_ok=True)
     found = [line for name in settings.runs for line in lines(name, settings)]
     print(printed(found))

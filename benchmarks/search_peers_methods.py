@@ -9,6 +9,7 @@ import torch
 from botorch.acquisition import LogExpectedImprovement
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
+from botorch.settings import validate_input_scaling
 from botorch_prior import ReturnGP
 from search_peers_play import Points
 from search_peers_rgpe import Ensemble, fit, improvement
@@ -167,12 +168,13 @@ class BoTorchGP(Base):
         """Return the model of one task."""
         latents = torch.as_tensor(self.known.archive)
         bounds = torch.stack([latents.amin(0), latents.amax(0)])
-        model = SingleTaskGP(
-            latents[points],
-            torch.as_tensor(returns)[:, None],
-            outcome_transform=Standardize(1),
-            input_transform=Normalize(latents.shape[1], bounds=bounds),
-        )
+        with validate_input_scaling(False):  # equal returns have no spread
+            model = SingleTaskGP(
+                latents[points],
+                torch.as_tensor(returns)[:, None],
+                outcome_transform=Standardize(1),
+                input_transform=Normalize(latents.shape[1], bounds=bounds),
+            )
         return fit(model, before)
 
 

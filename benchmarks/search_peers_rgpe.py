@@ -15,6 +15,7 @@ import torch
 from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize
+from botorch.settings import validate_input_scaling
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 from torch.distributions import Normal
@@ -49,7 +50,10 @@ def fitted(
     """Return a process of standardised values, `[n]`, at latents, `[n, z]`."""
     bounds = torch.stack([archive.amin(0), archive.amax(0)])
     scale = Normalize(archive.shape[1], bounds=bounds)
-    model = SingleTaskGP(latents, values[:, None], outcome_transform=None, input_transform=scale)
+    with validate_input_scaling(False):  # equal returns have no spread
+        model = SingleTaskGP(
+            latents, values[:, None], outcome_transform=None, input_transform=scale
+        )
     return fit(model, start)
 
 
