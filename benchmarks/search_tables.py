@@ -116,6 +116,8 @@ def make(settings: Settings) -> None:
                 path = settings.out / f"{name}-{title}-{seed}.csv"
                 if seed >= min(line.seeds, settings.seeds) or path.exists():
                     continue
+                if line.tasks and line.tasks not in run.family.draw_unfamiliar:
+                    continue
                 begin = time.perf_counter()
                 count = settings.long_tasks if line.episodes > 100 else settings.num_tasks
                 asked = evaluation(run, line, settings.tasks, count, seed, settings.num_threads)

@@ -90,6 +90,7 @@ def test_more_episodes_than_memory_are_refused_with_the_numbers(
     # The same of a batch that only adaptation plays.
     monkeypatch.setattr(budget, "memory", lambda: 64 * 40 * 2 * 50 - 1)
     adapt = ["adapt", str(run.directory), "--num-tasks", "2", "--episodes", "50"]
+    adapt += ["--tasks-at-once", "2"]
     assert "100 episodes" in said(capsys, *adapt)
 
 

@@ -15,7 +15,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import GradientFastLearner, Problem, maesn, reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
-from maesn.worlds import EpisodeError, make_world
+from maesn.worlds import EpisodeError, budget, make_world
 from maesn.worlds.collector import Collector
 
 EPISODES = 6
@@ -80,6 +80,19 @@ def test_chunks_change_nothing(
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         # The compiler may round differently for other shapes.
         np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
+
+
+def test_as_many_tasks_advance_together_as_the_memory_takes(
+    collect: Collector, learner: GradientFastLearner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of_task = budget.least_bytes(collect.world.env, EPISODES)
+    monkeypatch.setattr(budget, "memory", lambda: round(2.5 * of_task / budget.SHARE))
+    sizes: list[int] = []
+    watched = Collector(
+        collect.world, EPISODES, lambda episodes, *_: sizes.append(len(episodes.reward))
+    )
+    adapt(learner, watched, Evaluation(), episodes=0)
+    assert sizes == [2] * -(-NUM_TASKS // 2)
 
 
 def test_the_latents_move_and_the_seed_matters(

@@ -15,6 +15,7 @@ from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, Purpose
 from maesn.worlds import EpisodeError
+from maesn.worlds.budget import tasks_that_fit
 from maesn.worlds.collector import Collector
 
 # "Updates" that no adaptation reaches: for the keys of the learners themselves, and of the episodes
@@ -90,8 +91,10 @@ def adapt(
     deploy = Collector(collect.world, budget.deploy) if budget.deploy else None
     judged = {count // each for count in evaluation.deploy_after} or updates
     chosen = np.arange(evaluation.count(collect.world.tasks)) if tasks is None else np.array(tasks)
-    most = min(one.most_tasks for one in (collect, deploy or collect))
-    size = min(evaluation.tasks_at_once, most, len(chosen))
+    players = (collect, deploy or collect)
+    most = min(one.most_tasks for one in players)
+    fitting = min(tasks_that_fit(one.world.env, one.episodes_per_task) for one in players)
+    size = min(evaluation.tasks_at_once or fitting, most, len(chosen))
     parts = []
     for start in range(0, len(chosen), size):
         # Chunks of one size share compiled programs: the last task fills the last of them.

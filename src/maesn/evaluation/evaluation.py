@@ -60,9 +60,9 @@ class Evaluation:
     """Engine that moves the world, native or mjx; None: the run's own."""
     num_threads: int | None = None
     """Threads of the physics engine, 0 for one for each CPU; None: as the run's settings say."""
-    tasks_at_once: int = 25
+    tasks_at_once: int | None = None
     """Tasks that advance together. Memory grows with it: 25 tasks of 50 episodes of 200 steps take
-    about 100 MB. What is played does not depend on it."""
+    about 100 MB. None: as many as the memory takes. What is played does not depend on it."""
     protocol: ProtocolName | None = None
     """How others evaluate: maesn, pearl, varibad or metaworld-ml1 sets tasks, reward and numbers of
     episodes, all of which are in the table's record. None: as the other settings say."""

@@ -32,6 +32,8 @@ from maesn.studies.reading import check_names
 from maesn.studies.spec import RECORDED, LineSpec, Place, StudySpec, is_for
 from maesn.worlds import engine_of
 
+TASKS = 25  # of a job: its name has them, so they are not what a machine's memory takes
+
 
 @dataclasses.dataclass(frozen=True)
 class PlannedLine:
@@ -253,7 +255,7 @@ class _Planner:
         if is_search or budget.deploy:
             document |= without_noise
         number = asked.count(tasks)
-        for part in np.array_split(np.arange(number), -(-number // asked.tasks_at_once)):
+        for part in np.array_split(np.arange(number), -(-number // (asked.tasks_at_once or TASKS))):
             first, count = int(part[0]), len(part)
             digest = _digest(member, env, **document, part=[first, count])
             job = f"adapt-{who}{asked.suffix}-seed-{member.seed}-from-{first}-{digest}"

@@ -12,23 +12,36 @@ logger = logging.getLogger(__name__)
 
 # About what two cores play in a second on `point`, the cheapest family.
 STEPS_PER_SECOND = 2e5
+# Share of the memory that tasks which advance together fill by `least_bytes`: with what an update
+# keeps beside its episodes they take about ten times that.
+SHARE = 0.02
 # Control steps that are worth a warning: more than an hour, even at that speed.
 MANY_STEPS = 1e9
 
 
 def check_memory(env: AnyEnv, num_episodes: int) -> None:
-    """Refuse by `RunError` a batch of episodes that this machine cannot hold.
-
-    What is counted is the least that any method keeps of a step in single precision: observation,
-    action, its noise, mean and standard deviation, and six numbers and flags.
-    """
-    needed = 4 * num_episodes * env.horizon * (env.observation_size + 4 * env.action_size + 6)
+    """Refuse by `RunError` a batch of episodes that this machine cannot hold."""
+    needed = least_bytes(env, num_episodes)
     if needed > memory():
         raise RunError(
             f"{num_episodes:,} episodes of {env.horizon:,} steps of `{env.name}` at once take at "
             f"least {needed / 1e9:,.1f} GB, but this machine has {memory() / 1e9:,.1f} GB: play "
             "fewer episodes of each task, or fewer tasks at once."
         )
+
+
+def least_bytes(env: AnyEnv, num_episodes: int) -> int:
+    """Return the least that any method keeps of episodes, in single precision.
+
+    Of a step: observation, action, its noise, mean and standard deviation, and six numbers and
+    flags.
+    """
+    return 4 * num_episodes * env.horizon * (env.observation_size + 4 * env.action_size + 6)
+
+
+def tasks_that_fit(env: AnyEnv, episodes_per_task: int) -> int:
+    """Return how many tasks can advance together in the memory of this machine, at least 1."""
+    return max(1, int(SHARE * memory() // least_bytes(env, episodes_per_task)))
 
 
 def warn_of_duration(env: AnyEnv, num_episodes: int) -> None:
