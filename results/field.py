@@ -39,7 +39,7 @@ FEW = 20  # episodes, at most, after which success and the worst tasks are told
 SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.
 SHOWN = {
-    "maesn-random": MethodStyle("random latents", style.GREY, ":", ""),
+    "maesn-stationary": MethodStyle("MAESN, search without a prior", style.GREY, "-.", "s"),
     **{name: METHOD_STYLES[name] for name in ("maml", "pearl", "rl2", "varibad")},
     "maesn-gradient": MethodStyle("MAESN, gradient", style.ORANGE, "--", "D"),
     SEARCH: MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
@@ -135,8 +135,8 @@ class Entry:
     @property
     def costs(self) -> tuple[str, ...]:
         """Seeds, millions of steps, minutes, seconds of a meta-iteration."""
-        left = sum(float(row["hours_left"] or 0) for row in self.seeds)
-        seeds = f"{len(self.done)}" + (f" (others: {left:.1f} h)" if left else "")
+        left = [float(row["hours_left"]) for row in self.seeds if row["hours_left"]]
+        seeds = f"{len(self.done)}" + (f" (others: {max(sum(left), 0.1):.1f} h)" if left else "")
         numbers = {
             name: np.mean([float(row[name]) for row in self.done if row[name]] or [np.nan])
             for name in ("steps", "training", "iteration")
@@ -278,9 +278,14 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
             axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
                       markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
     still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
-    for value, line in ((max(still, default=None), ":"), (max(oracle, default=None), "-")):
+    for value, line, label in (
+        (max(still, default=None), ":", "learns nothing"),
+        (max(oracle, default=None), "-", "knows the goal"),
+    ):
         if value is not None:
             axes.axhline(value, color=style.DARK_GREY, linestyle=line, linewidth=0.8)
+            axes.annotate(label, (550, value), (0, -2), textcoords="offset points", ha="right",
+                          va="top", fontsize="x-small", color=style.DARK_GREY)  # fmt: skip
     axes.set(title=family, xscale="log", xlim=(0.9, 600), xlabel="episodes")
     axes.xaxis.set_major_formatter("{x:g}")
 

@@ -61,7 +61,7 @@ METHOD_STYLES = {
     "maml_bias_only": MethodStyle("MAML (bias only)", REDDISH_PURPLE, ":", "P"),
     "rl2": MethodStyle("RL²", BLACK, "--", "X"),
     "rl2_trpo": MethodStyle("RL² (TRPO)", BLACK, ":", "p"),
-    "varibad": MethodStyle("VariBAD", BLUISH_GREEN, "--", "d"),
+    "varibad": MethodStyle("VariBAD", REDDISH_PURPLE, "-.", "d"),
     "pearl": MethodStyle("PEARL", SKY_BLUE, "-", "8"),
     "vime": MethodStyle("VIME", ORANGE, "--", "h"),
     "trpo": MethodStyle("TRPO", GREY, "-.", "<"),
