@@ -70,7 +70,8 @@ def list() -> None:  # noqa: A001
 
 
 def _show(title: str, texts: Mapping[str, str]) -> None:
-    print(f"{title}:", *(f"  {name:15s} {text}" for name, text in texts.items()), sep="\n")
+    width = max(15, *map(len, texts))
+    print(f"{title}:", *(f"  {name:{width}s} {text}" for name, text in texts.items()), sep="\n")
 
 
 def _settings(rule: Any) -> str:
