@@ -35,6 +35,7 @@ LINE = ("family", "line", "label", "kind", "tasks", "protocol", "trained_for", "
 LINE += ("steps", "training", "iteration", "hours_left")  # seconds, seconds, hours
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
+FEWEST_SEEDS = 3
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
 SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.
@@ -147,13 +148,17 @@ class Entry:
 
 
 def entries() -> dict[str, list[Entry]]:
-    """Return the lines of each family, from the raw results."""
+    """Return the lines of each family, from the raw results.
+
+    A line that learns has no cells before `FEWEST_SEEDS` of it are done.
+    """
     raw = _by_line(RESULTS)
     tables: dict[str, list[Entry]] = {}
     for name, seeds in _by_line(LINES).items():
         beyond = int(seeds[0]["trained_for"] or max(EPISODES) + 1)
-        cells = dict(_cells(raw.get(name, ()), beyond))
-        tables.setdefault(name[0], []).append(Entry(seeds, cells))
+        one = Entry(seeds, dict(_cells(raw.get(name, ()), beyond)))
+        shown = one.is_floor or len(one.done) >= FEWEST_SEEDS
+        tables.setdefault(name[0], []).append(one if shown else Entry(seeds, {}))
     return tables
 
 
@@ -278,14 +283,14 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
             axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
                       markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
     still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
-    for value, line, label in (
-        (max(still, default=None), ":", "learns nothing"),
-        (max(oracle, default=None), "-", "knows the goal"),
+    for value, line, label, side, gap in (
+        (max(still, default=None), ":", "learns nothing", "bottom", 2),
+        (max(oracle, default=None), "-", "knows the goal", "top", -2),
     ):
         if value is not None:
             axes.axhline(value, color=style.DARK_GREY, linestyle=line, linewidth=0.8)
-            axes.annotate(label, (550, value), (0, -2), textcoords="offset points", ha="right",
-                          va="top", fontsize="x-small", color=style.DARK_GREY)  # fmt: skip
+            axes.annotate(label, (550, value), (0, gap), textcoords="offset points", ha="right",
+                          va=side, fontsize="x-small", color=style.DARK_GREY)  # fmt: skip
     axes.set(title=family, xscale="log", xlim=(0.9, 600), xlabel="episodes")
     axes.xaxis.set_major_formatter("{x:g}")
 

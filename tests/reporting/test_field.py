@@ -25,21 +25,29 @@ def field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def write(field: ModuleType, returns: np.ndarray) -> None:
-    """Raw files of a search with three seeds, a memory of three episodes, and one line to do.
+    """Raw files of a search and a memory of three episodes with three seeds, PEARL with two, and
+    one line to do.
 
-    The memory has played 50 of the tasks alone.
+    All but the search have played 50 of the tasks alone, and return 0.7 less.
     """
     rows = [
-        f"world,{line},{seed},{task},{COUNTS[k]},{returns[seed, task, k]},{float(task < 30)}"
-        for line, seeds, tasks in (("maesn-search", 3, returns.shape[1]), ("rl2", 1, 50))
+        f"world,{line},{seed},{task},{COUNTS[k]},"
+        f"{returns[seed, task, k] - behind},{float(task < 30)}"
+        for line, seeds, tasks, behind in (
+            ("maesn-search", 3, returns.shape[1], 0.0),
+            ("rl2", 3, 50, 0.7),
+            ("pearl", 2, 50, 0.7),
+        )
         for seed, task, k in np.ndindex(seeds, tasks, returns.shape[2])
     ]
     text = "\n".join([",".join(field.RESULT), *rows, ""])
     field.RESULTS.write_bytes(gzip.compress(text.encode()))
     done = ",deploy,4000000,60,0.5,"
     lines = [f"maesn-search,MAESN,method,final,,,{seed}{done}" for seed in range(3)]
-    lines += [f"rl2,RL2,method,final,,3,0{done}", "rl2,RL2,method,final,,3,1,,,,,1.5"]
+    lines += [f"rl2,RL2,method,final,,3,{seed}{done}" for seed in range(3)]
+    lines += [f"pearl,PEARL,method,final,,,{seed}{done}" for seed in range(2)]
     lines += [
+        "rl2,RL2,method,final,,3,3,,,,,1.5",
         "varibad,VariBAD,method,final,,,0,,,,,2.25",
         "idle,idle,baseline,final,,,0,deploy,,,,",
     ]
@@ -65,7 +73,9 @@ def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
     field.main()
     text = (field.HERE / "table.md").read_text()
     found = rows_of(text.partition("less that of others")[0])
-    search, memory, undone, others = (found[x] for x in ("MAESN", "RL2", "VariBAD", "others"))
+    search, memory, few, undone, others = map(
+        found.get, ("MAESN", "RL2", "PEARL", "VariBAD", "others")
+    )
     for k, count in enumerate(COUNTS):
         shown, _, _ = search[str(count)].partition(" ")
         assert float(shown) == pytest.approx(returns[..., k].mean(), abs=0.05)
@@ -77,17 +87,18 @@ def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
     assert (search["seeds"], search["steps (M)"], search["minutes"]) == ("3", "4", "1.0")
     # Beyond the trials that it was trained for, a memory has no number.
     assert [memory[str(count)] != "-" for count in COUNTS] == [True] * 3 + [False] * 4
-    assert memory["seeds"] == "1 (others: 1.5 h)"
+    assert memory["seeds"] == "3 (others: 1.5 h)"
+    # Two seeds are too few to be shown.
+    assert few["seeds"] == "2"
+    assert {few[str(count)] for count in COUNTS} == {"-"}
     assert undone["seeds"] == "0 (others: 2.2 h)"
     assert (others["1"], others["20"]) == ("5", "7.8 ±0.6")
     assert "others: another budget" in text
     assert (field.HERE / "field.png").exists()
-    # The search has three seeds of which the memory is the first.
     ahead = rows_of(text.partition("less that of others")[2])
     assert list(ahead) == ["RL2"]
-    gap = returns[:, :50, 1].mean() - returns[0, :50, 1].mean()
     shown, _, interval = ahead["RL2"]["1"].partition(" ")
-    assert float(shown) == pytest.approx(gap, abs=0.05)
     low, high = map(float, interval.strip("[]").split(", "))
-    assert low < gap < high
+    assert shown == "0.7"
+    assert low < 0.7 < high
     assert ahead["RL2"]["20"] == "-"
