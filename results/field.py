@@ -35,7 +35,7 @@ LINE = ("family", "line", "label", "kind", "tasks", "protocol", "trained_for", "
 LINE += ("steps", "training", "iteration", "hours_left")  # seconds, seconds, hours
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
-FEWEST_SEEDS = 3
+FEWEST_SEEDS = 3  # of a line that is shown: one seed says little
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
 SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from maesn.axes import TaskKeys
-from maesn.evaluation.evaluation import USUAL, Evaluation
+from maesn.evaluation.evaluation import TASKS_AT_ONCE, USUAL, Evaluation
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, Purpose
 from maesn.worlds import EpisodeError
@@ -94,7 +94,8 @@ def adapt(
     players = (collect, deploy or collect)
     most = min(one.most_tasks for one in players)
     fitting = min(tasks_that_fit(one.world.env, one.episodes_per_task) for one in players)
-    size = min(evaluation.tasks_at_once or fitting, most, len(chosen))
+    wanted = evaluation.tasks_at_once or min(TASKS_AT_ONCE, fitting)
+    size = min(wanted, most, len(chosen))
     parts = []
     for start in range(0, len(chosen), size):
         # Chunks of one size share compiled programs: the last task fills the last of them.

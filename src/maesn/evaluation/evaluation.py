@@ -16,6 +16,8 @@ from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
 from maesn.worlds import EngineName
 
+TASKS_AT_ONCE = 25  # at most, unless asked for: more are no faster on two cores
+
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
@@ -62,7 +64,7 @@ class Evaluation:
     """Threads of the physics engine, 0 for one for each CPU; None: as the run's settings say."""
     tasks_at_once: int | None = None
     """Tasks that advance together. Memory grows with it: 25 tasks of 50 episodes of 200 steps take
-    about 100 MB. None: as many as the memory takes. What is played does not depend on it."""
+    about 100 MB. None: 25, or fewer if memory is short. What is played does not depend on it."""
     protocol: ProtocolName | None = None
     """How others evaluate: maesn, pearl, varibad or metaworld-ml1 sets tasks, reward and numbers of
     episodes, all of which are in the table's record. None: as the other settings say."""

@@ -15,7 +15,7 @@ from maesn.runs.config import installed_versions
 from maesn.studies.execution import Execution
 from maesn.studies.jobs import EXPLORATION, LATENTS, ROWS, times
 from maesn.studies.members import RUN
-from maesn.studies.plan import PlannedComparison, PlannedLine
+from maesn.studies.planned import PlannedComparison, PlannedLine
 from maesn.studies.spec import StudySpec
 
 

@@ -1,8 +1,8 @@
-"""From what a study says to the jobs that compute it, and the comparisons that they are for."""
+"""From what a study says to the jobs that compute it."""
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,8 @@ import numpy as np
 
 from maesn.envs import AnyEnv, TaskSet, describe_env, split_variant
 from maesn.envs.sources import find_tasks
-from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.evaluation import TASKS_AT_ONCE, Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
-from maesn.reporting.style import METHOD_STYLES
 from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import PriorSettings
@@ -28,61 +27,10 @@ from maesn.studies.members import (
     members_from_scratch,
     members_of_run,
 )
+from maesn.studies.planned import PlannedComparison, PlannedLine, labelled
 from maesn.studies.reading import check_names
 from maesn.studies.spec import RECORDED, LineSpec, Place, StudySpec, is_for
 from maesn.worlds import engine_of
-
-TASKS = 25  # of a job: its name has them, so they are not what a machine's memory takes
-
-
-@dataclasses.dataclass(frozen=True)
-class PlannedLine:
-    """A run, a method from scratch or a baseline under one evaluation, with every seed."""
-
-    name: str
-    source: str
-    """Name of the run or method, which lines under other evaluations share."""
-    asked: Evaluation
-    num_tasks: int
-    trial_episodes: int | None
-    seeds: Sequence[tuple[AbstractMember, Sequence[str]]]
-    """Members that differ in their seed alone, each with the jobs that evaluate it."""
-    label: str = ""
-    """Name in figures and tables."""
-
-    @property
-    def first(self) -> AbstractMember:
-        """The member with the first seed."""
-        return self.seeds[0][0]
-
-    def document(self, seeds: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the line as the manifest has it, with these seeds."""
-        asked, first = self.asked, self.first
-        budget = {**asked.budget._asdict(), "num_tasks": self.num_tasks, "seed": asked.seed}
-        return {
-            "name": self.name,
-            "source": self.source,
-            "method": first.method,
-            "label": self.label,
-            "addition": bool(asked.wrappers),
-            "settings": first.settings,
-            "evaluation": {**asked.protocol_record, "rule": asked.rule_text, **budget},
-            "trial_episodes": self.trial_episodes,
-            "seeds": seeds,
-        }
-
-
-@dataclasses.dataclass(frozen=True)
-class PlannedComparison:
-    """Lines in the same tasks, under the same reward."""
-
-    name: str
-    world: Mapping[str, Any]
-    """Family, variant, tasks, reward, radius and horizon, as the manifest has them."""
-    lines: Mapping[str, Sequence[PlannedLine]]
-    """The `lines` of the study; `baselines`, which learn nothing; the `oracle`, if there is one."""
-    recorded: Mapping[str, str]
-    """Name of a run -> the job that records its paths."""
 
 
 def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[PlannedComparison]]:
@@ -202,9 +150,9 @@ class _Planner:
             "horizon": below[0].first.env(asked).horizon,
         }
         groups = {"lines": lines, "baselines": below, "oracle": above}
-        labelled = {group: _labelled(found) for group, found in groups.items()}
+        named = {group: labelled(found) for group, found in groups.items()}
         recorded = dict(self.record(dict.fromkeys(line.source for line in lines)))
-        return PlannedComparison(name, world, labelled, recorded)
+        return PlannedComparison(name, world, named, recorded)
 
     def record(self, sources: Iterable[str]) -> Iterator[tuple[str, str]]:
         """Plan the recordings that figures need; yield names of runs and jobs.
@@ -254,8 +202,9 @@ class _Planner:
         }
         if is_search or budget.deploy:
             document |= without_noise
-        number = asked.count(tasks)
-        for part in np.array_split(np.arange(number), -(-number // (asked.tasks_at_once or TASKS))):
+        # A job's name has its tasks, so they must not depend on the memory of a machine.
+        number, most = asked.count(tasks), asked.tasks_at_once or TASKS_AT_ONCE
+        for part in np.array_split(np.arange(number), -(-number // most)):
             first, count = int(part[0]), len(part)
             digest = _digest(member, env, **document, part=[first, count])
             job = f"adapt-{who}{asked.suffix}-seed-{member.seed}-from-{first}-{digest}"
@@ -282,21 +231,3 @@ def _steps_of_training(run: Run) -> int:
     settings = run.settings
     episodes = run.learner.planned_episodes(settings.episodes_per_task, settings.iterations)
     return episodes * run.env().horizon
-
-
-def _labelled(lines: Sequence[PlannedLine]) -> list[PlannedLine]:
-    """Return lines as figures call them: by their methods, and what makes them differ."""
-    labels = []
-    for line in lines:
-        method, usual = line.first.method, line.source.replace("_", " ")
-        rivals = {one.source for one in lines if one.first.method == method}
-        if method in METHOD_STYLES and len(rivals) == 1:
-            usual = METHOD_STYLES[method].label
-        added = f" ({line.asked.label})" if line.asked.label else ""
-        labels.append((line.first.label or usual) + added)
-    return [
-        dataclasses.replace(
-            line, label=label if labels.count(label) == 1 else f"{label} [{line.name}]"
-        )
-        for line, label in zip(lines, labels, strict=True)
-    ]

@@ -12,8 +12,8 @@ logger = logging.getLogger(__name__)
 
 # About what two cores play in a second on `point`, the cheapest family.
 STEPS_PER_SECOND = 2e5
-# Share of the memory that tasks which advance together fill by `least_bytes`: with what an update
-# keeps beside its episodes they take about ten times that.
+# Share of the memory that `least_bytes` of tasks which advance together may fill. With what an
+# update keeps beside its episodes, gradients on `wheeled` take five times that.
 SHARE = 0.02
 # Control steps that are worth a warning: more than an hour, even at that speed.
 MANY_STEPS = 1e9
