@@ -171,6 +171,20 @@ def test_without_noise_a_latent_that_was_played_is_known_and_teaches_nothing_mor
     np.testing.assert_array_equal(again.extended(model, 1.0 + model.archive).mean[:12], once.mean)
 
 
+@pytest.mark.parametrize("jumps", [True, False])
+@pytest.mark.parametrize("seed", range(5))
+def test_without_noise_an_equal_latent_teaches_nothing_more(seed: int, jumps: bool) -> None:
+    prior = replace(random_prior(seed), noise=np.zeros(12), episodes=1)
+    prior.latents[1], prior.excess[:, 1] = prior.latents[0], prior.excess[:, 0]
+    model, returns = model_of(prior, jumps=jumps), prior.excess[3] + 4.0
+    readings = [Reading(point, float(returns[point])) for point in (0, 5)]
+    for one in (model, model.shifted(), model.unlike()):
+        once = posterior_of(one, readings)
+        again = once.conditioned(one, Reading(1, float(returns[1])))
+        for name in ("task_mean", "task_weights", "std"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(once, name))
+
+
 @pytest.mark.parametrize("offset_std", [0.0, 2.0])
 def test_without_noise_everything_stays_finite_and_no_task_takes_all_the_weight(
     offset_std: float,

@@ -294,6 +294,19 @@ def test_a_search_respects_the_bound_of_the_latent(policy: Path) -> None:
     assert np.linalg.norm(explorer.latent_mean) <= 1.5
 
 
+def test_the_bound_of_the_latent_holds_when_every_latent_within_it_is_known() -> None:
+    far_first = np.argsort(-np.linalg.norm(PRIOR.latents, axis=1))
+    latents, excess = PRIOR.latents[far_first], PRIOR.excess[:, far_first]
+    exact = replace(PRIOR, latents=latents, excess=excess, noise=np.zeros(len(latents)))
+    bound, generator, played = float(np.linalg.norm(latents[-3])), np.random.default_rng(0), []
+    search = replace(search_of(exact), max_norm=bound)
+    for _ in range(5):
+        search, point = search.proposed(generator)
+        search = search.after([Reading(point, -20.0)])
+        played.append(point)
+    assert {*played} == {77, 78, 79}
+
+
 @pytest.mark.parametrize("value", [-200.0, 5.0])
 def test_returns_that_no_prior_explains_are_noticed_once(
     policy: Path, tmp_path: Path, value: float

@@ -145,7 +145,7 @@ class Posterior:
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
         expected, std, covariance, offset = self.predicted(model, reading.point, reading.length)
         error = reading.episode_return - expected
-        if self.known[reading.point]:
+        if self.known[reading.point] or self._is_twin(model, reading.point, std):
             scale = np.inf  # it teaches nothing, so its row is zero
         else:
             nearest, furthest = float(np.abs(error).min()), float(np.abs(error).max())
@@ -162,6 +162,14 @@ class Posterior:
             scales=np.append(self.scales, scale),
             innovations=np.vstack([self.innovations, innovation]),
         )
+
+    def _is_twin(self, model: ReturnModel, point: int, std: float) -> bool:
+        """Whether a latent returns what an equal one did: nothing is left to know but rounding."""
+        if not self.is_exact[point]:
+            return False
+        z = self.points[point : point + 1]
+        variance = float(model.covariance(z, z)[0, 0])
+        return variance > 0.0 and std**2 <= KNOWN * variance
 
     def extended(self, model: ReturnModel, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""

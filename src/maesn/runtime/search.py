@@ -146,7 +146,7 @@ class LatentSearch:
         """Return the index of a point; raises `ValueError` if z is no point of this search."""
         found = np.flatnonzero((self.points == z).all(axis=1))
         if not len(found):
-            raise ValueError(f"`z` {z} is no point of this search.")
+            raise ValueError(f"`z` {z} is no point of this search: give one that it proposed.")
         return int(found[0])
 
     @property
@@ -177,9 +177,10 @@ class LatentSearch:
     def highest(self, scores: FloatArray) -> int:
         """Return the index of the highest score within `max_norm`, or of the nearest point."""
         norms = np.linalg.norm(self.points, axis=1)
-        if norms.min() > self.max_norm:
+        inside = np.flatnonzero(norms <= self.max_norm)
+        if not len(inside):
             return int(np.argmin(norms))
-        return int(np.argmax(np.where(norms <= self.max_norm, scores, -np.inf)))
+        return int(inside[np.argmax(scores[inside])])  # one inside even if all scores are -inf
 
     def scores(self, component: int) -> FloatArray:
         """Return the acquisition function at each point, under one component, `[point]`."""
