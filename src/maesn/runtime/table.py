@@ -26,9 +26,16 @@ def facts(exported: ExportedPolicy) -> list[tuple[str, str]]:
     rows += [
         (f"actions to {purpose}", kinds[noisy]) for purpose, noisy in exported.is_noisy.items()
     ]
-    start = f"mean {_numbers(exported.start.mean)}, std {_numbers(exported.start.std)}"
-    rows.append(("z starts at", f"{start}, after {exported.start_update} updates"))
-    return rows + list(_reward(exported))
+    return [*rows, *_latent(exported), *_reward(exported)]
+
+
+def _latent(exported: ExportedPolicy) -> Iterator[tuple[str, str]]:
+    if exported.search is None:
+        start = f"mean {_numbers(exported.start.mean)}, std {_numbers(exported.start.std)}"
+        yield "z starts at", f"{start}, after {exported.start_update} updates"
+    else:
+        number = len(exported.search.prior.latents)
+        yield "z", f"chosen by the search, whose archive has {number} latents"
 
 
 def _reward(exported: ExportedPolicy) -> Iterator[tuple[str, str]]:

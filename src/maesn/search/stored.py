@@ -40,7 +40,7 @@ _NUMBERS = ("episodes", "offset_mean", "offset_std", "proposed_levels", "deploye
 _ANOTHER = {
     "checkpoint": "other weights than those of the latest checkpoint of",
     "training task set": "another training task set than that of",
-    "reward": "another reward than that of",
+    "reward": "another reward than that of the new tasks of",
     "action noise": "another choice of `--action-noise` than this adaptation of",
 }
 _SEARCHES = np.uint32(2**32 - 3)  # folded into the key of the searches that calibrate
@@ -152,7 +152,7 @@ def find_prior(
         any_reward: whether a prior that was made for another reward will do.
 
     Raises:
-        RunError: it belongs to other weights, other training tasks or another reward.
+        RunError: it belongs to other weights, training tasks, reward or noise, or is damaged.
     """
     path = Path(name) if name else prior_file(run, world, action_noise)
     if not name and not path.exists():
@@ -167,9 +167,10 @@ def find_prior(
     prior, metadata = read_prior(path)
     for what, wanted in bound_to(run, state, world, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
+            allow = ", or allow it by `any_reward=true`" if what == "reward" else ""
             raise RunError(
-                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`"
-                f"{' here' if what == 'reward' else ''}: make it again with `maesn prior`."
+                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`: make it again by "
+                f"`{_command(run, world.env, action_noise)}`{allow}."
             )
     return prior
 
@@ -177,20 +178,27 @@ def find_prior(
 def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
     """Say how long it takes to make the prior of a run, and which command makes a cheaper one."""
     cheaper = dataclasses.replace(settings, draws=100, episodes=1, adapted=False, searches=0)
-    options = "--draws 100 --episodes 1 --adapted False --searches 0"
-    if settings.action_noise:
-        options += " --action-noise True"
-    if env.reward_kind != "sparse":
-        options += f" --reward {env.reward_kind}"
-    if env.sparse_radius != run.env().sparse_radius:
-        options += f" --sparse-radius {env.sparse_radius:g}"
+    command = _command(run, env, settings.action_noise)
     steps, fewer = (_steps(run, env, one) for one in (settings, cheaper))
     speed = _speed(run)
     return (
         f"It is made now, once: {steps:,} environment steps, about {math.ceil(steps / speed / 60)} "
         f"min at {speed:,.0f} steps per second. A rougher one takes {100 * fewer / steps:.0f} % "
-        f"of them: stop this, and type: maesn prior {run.typed} {options}"
+        f"of them: stop this, and type: {command} --draws 100 --episodes 1 --adapted False "
+        "--searches 0"
     )
+
+
+def _command(run: Run, env: AnyEnv, action_noise: bool) -> str:
+    """Return the command that makes the prior of a run for an environment's reward."""
+    command = f"maesn prior {run.typed}"
+    if action_noise:
+        command += " --action-noise True"
+    if env.reward_kind != "sparse":
+        command += f" --reward {env.reward_kind}"
+    if env.sparse_radius != run.env().sparse_radius:
+        command += f" --sparse-radius {env.sparse_radius:g}"
+    return command
 
 
 def _steps(run: Run, env: AnyEnv, settings: PriorSettings) -> int:
