@@ -1,10 +1,8 @@
 """The prior of a search as a model of BoTorch, and searches that it is compared with."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import botorch
 import botorch_prior as example
 import numpy as np
 import pytest
@@ -21,12 +19,6 @@ import maesn
 from maesn.runtime import moments
 
 MODEL = ARCHIVE_ALONE.model(PRIOR)
-
-
-@pytest.fixture(autouse=True)
-def any_scale() -> Iterator[None]:
-    with botorch.settings.validate_input_scaling(False):
-        yield
 
 
 def test_botorch_s_posterior_is_the_conditional_distribution_of_the_moments() -> None:

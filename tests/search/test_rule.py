@@ -24,7 +24,7 @@ from maesn.policies import GaussianMLP
 from maesn.rules import SearchRule
 from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
-from maesn.runtime import Explorer
+from maesn.runtime import Explorer, facts
 from maesn.search.calibration import EPISODES
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import played_live, read_prior, run_prior
@@ -173,6 +173,7 @@ def test_an_exported_search_is_the_run_s(trained: Path, tmp_path: Path) -> None:
     assert explorer.exported.search is not None
     assert explorer.exported.search.settings.draws == 0
     np.testing.assert_array_equal(explorer.exported.search.prior.excess, prior.excess)
+    assert dict(facts(explorer.exported))["z"].endswith(f"archive has {len(prior.latents)} latents")
     z = explorer.begin_episode()
     assert (prior.latents == z).all(axis=1).any()
 
@@ -198,7 +199,9 @@ def test_a_prior_for_another_radius_is_used_when_that_is_asked_for(
     wider = ["--sparse-radius", "0.9", "--episodes", "1", "--out", str(tmp_path / "table.csv")]
     rule = ["adapt", str(trained), "--tasks", few, "--deploy-episodes", "1", "--rule", "search"]
     assert cli.run([*rule, f"prior={prior}", *wider]) == 2
-    assert "was made for another reward" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "was made for another reward" in said
+    assert f"`maesn prior {trained} --sparse-radius 0.9`, or allow it by `any_reward=true`" in said
     assert cli.run([*rule, f"prior={prior}", "any_reward=true", *wider]) == 0
 
 
@@ -215,6 +218,9 @@ def test_what_makes_no_sense_is_one_sentence(
     assert "`maml` cannot search" in capsys.readouterr().err
     assert cli.run(["adapt", str(trained), "--rule", "search", "acquisition=best"]) == 2
     assert "acquisition" in capsys.readouterr().err
+    control = ["export", str(trained), str(tmp_path / "policy.npz"), "--rule", "stationary"]
+    assert cli.run(control) == 2
+    assert "`rule` must be `gradient`, or `search`" in capsys.readouterr().err
 
 
 def test_one_training_task_is_no_prior(tmp_path: Path) -> None:
@@ -284,4 +290,4 @@ def test_without_noise_a_prior_plays_a_latent_once_and_learns_the_noise_from_a_f
     assert prior.episodes == 1
     assert len(set(prior.noise)) == 1
     again = run_prior(run, replace(settings, episodes=4))[1]
-    np.testing.assert_allclose(prior.noise[0], again.noise.mean(), rtol=1.0)
+    assert 0.5 < prior.noise[0] / again.noise.mean() < 2.0
