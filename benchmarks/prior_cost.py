@@ -22,7 +22,10 @@ from maesn.search.stored import run_prior
 
 # Draws, episodes of each latent, and whether the adapted latents are played too; the largest first.
 SIZES = ((400, 4, True), (400, 1, True), (250, 1, True), (100, 1, True), (100, 1, False))
-HEADING = f"{'draws':>5} {'episodes each':>13} {'episodes':>9} {'return':>8}  against the largest"
+HEADING = (
+    f"{'draws':>5} {'episodes each':>13} {'adapted':>7} {'episodes':>9} {'return':>8}  "
+    "against the largest"
+)
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ def main(settings: Settings) -> None:
             gain = found - largest
             error = 1.96 * gain.std(ddof=1) / np.sqrt(len(gain))
             print(
-                f"{draws:5d} {episodes:13d} {steps // run.env().horizon:9,d} {found.mean():8.1f}  "
-                f"{gain.mean():.1f} ± {error:.1f}",
+                f"{draws:5d} {episodes:13d} {adapted!s:>7} {steps // run.env().horizon:9,d} "
+                f"{found.mean():8.1f}  {gain.mean():.1f} ± {error:.1f}",
                 flush=True,
             )
 

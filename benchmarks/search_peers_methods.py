@@ -99,7 +99,7 @@ class Ours(Base):
 
 
 class RandomLatents(Base):
-    """Draws from the widened prior, one after the other."""
+    """Random latents of the archive, each of them once."""
 
     def propose(self) -> Points:
         return self.fresh()

@@ -146,9 +146,9 @@ def archive_returns(run: Run, tasks: str, out: Path) -> tuple[ReturnPrior, np.nd
         prior, _ = read_prior(prior_file(run, world))
         path = out / f"{run.directory.name}-archive.npz"
         if not path.exists():
-            learner = latent_of(run.learner.fast_learner(run.latest_state()))
+            latent = latent_of(run.learner.fast_learner(run.latest_state()))
             settings = PriorSettings(episodes=ARCHIVE_EPISODES, seed=1)
-            returns, length = play_archive(learner, world, prior.latents, settings)
+            returns, length = play_archive(latent, world, prior.latents, settings)
             np.savez_compressed(path, returns=np.float32(returns), length=np.float32(length))
     with np.load(path) as kept:
         return prior, np.float64(kept["returns"]), np.float64(kept["length"])

@@ -70,7 +70,7 @@ def list() -> None:  # noqa: A001
 
 
 def _show(title: str, texts: Mapping[str, str]) -> None:
-    width = max(15, *map(len, texts))
+    width = max([15, *map(len, texts)])
     print(f"{title}:", *(f"  {name:{width}s} {text}" for name, text in texts.items()), sep="\n")
 
 

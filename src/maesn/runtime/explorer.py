@@ -98,7 +98,10 @@ class Explorer:
 
     @property
     def latent_mean(self) -> FloatArray:
-        """Mean of the latent that the next z is drawn from, `[latent]`."""
+        """Mean of the latent that the next z is drawn from, `[latent]`.
+
+        With a search, from the first `adapt` on, the latent to deploy.
+        """
         return self._state.latent.mean.copy()
 
     @property
@@ -164,7 +167,8 @@ class Explorer:
 
         Each is chosen as if those before it had returned what the search expects of them. Play
         them with `begin_episode(z=...)`, or report with `add_result` what other robots got, in any
-        order: `adapt` learns in the order of proposal. One that is never played does no harm.
+        order: `adapt` learns in the order of proposal. One that is never played does no harm. Call
+        `adapt` before the next proposal, which knows nothing of those that are still played.
 
         Raises:
             RuntimeError: an episode is running, or there is no search.
@@ -180,12 +184,12 @@ class Explorer:
         """Keep what another robot got with a z of this search; the next `adapt` learns from it.
 
         Args:
-            z: one of those that `propose` returned, `[latent]`.
+            z: one of those that `propose` returned, or another of this search, `[latent]`.
             rewards: r_t of every step of its episode, `[time]`.
 
         Raises:
             RuntimeError: there is no search.
-            ValueError: z was not proposed, or the rewards are not finite or none.
+            ValueError: z is no point of this search, or the rewards are not finite or none.
         """
         size, search = self.exported.latent_size, self._state.search_for("add_result")
         point = search.index(finite_vector("z", z, size, "as the policy's latent"))

@@ -19,8 +19,8 @@ class SearchSettings:
             `ucb` maximises the upper confidence bound, mean + exploration * std; `thompson` draws a
             training task by its posterior probability and takes that task's best latent.
         exploration: weight of the standard deviation in the upper confidence bound.
-        draws: latents that are drawn around the best one in every round, once it has been played;
-            0 stays with the archive.
+        draws: latents that are drawn around the best one in every round, once it has been played
+            twice or its return is known exactly; 0 stays with the archive.
         draw_std: standard deviation of these draws, in units of z.
         residual: variance of a new task's returns that no training task explains, as a share of
             the mean variance over training tasks.

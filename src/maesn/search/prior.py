@@ -45,7 +45,7 @@ class PriorSettings:
     dense reward."""
     episodes: int | None = None
     """Episodes of each latent, for all tasks that can share them. None: 4, or 1 if tasks do not
-    share episodes. The noise of returns is then learned from a few latents alone."""
+    share episodes and actions have no noise. With 1, a few latents tell the noise of returns."""
     action_noise: bool = False
     """Whether actions have the noise of training; see `maesn adapt --action-noise`."""
     searches: int = 20
@@ -94,7 +94,7 @@ def make_prior(
     world: AbstractWorld,
     latents: np.ndarray,
     settings: PriorSettings,
-    progress: Progress = lambda done, of: None,
+    progress: Progress = lambda played, of: None,
 ) -> ReturnPrior:
     """Play an archive, `[latent, z]`, in training tasks with the reward of the new tasks.
 
