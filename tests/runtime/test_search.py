@@ -71,11 +71,24 @@ def deployed_values(settings: SearchSettings, episodes: int, number: int = 40) -
     return np.asarray(found)
 
 
-def test_the_first_latent_is_the_one_with_the_highest_bound_under_the_prior() -> None:
-    search = search_of()
-    _, point = search.proposed(np.random.default_rng(0))
-    bound = search.posterior.mean + ARCHIVE_ALONE.exploration * search.posterior.std
-    assert point == np.argmax(bound)
+@pytest.mark.parametrize("acquisition", ["ucb", "thompson"])
+def test_the_latent_to_play_is_the_best_one_under_a_hypothesis_drawn_by_its_probability(
+    acquisition: str,
+) -> None:
+    """After two returns about which the hypotheses disagree, in 1000 draws."""
+    search = search_of(settings=replace(ARCHIVE_ALONE, acquisition=acquisition))
+    search = search.after([Reading(67, -12.0), Reading(0, -14.0)])
+    expected, number = np.zeros(len(PRIOR.latents)), 1000
+    parts, weights = search.posterior.parts, search.posterior.weights
+    for part, own in zip(parts, np.split(weights, [60, 120]), strict=True):
+        bound = part.mean + 2.0 * part.std
+        for mean, weight in zip(part.task_mean, own, strict=True):
+            expected[np.argmax(mean if acquisition == "thompson" else bound)] += weight
+    assert np.sort(expected)[-2] > 0.1
+    generator = np.random.default_rng(0)
+    points = [search.proposed(generator)[1] for _ in range(number)]
+    found = np.bincount(points, minlength=len(expected)) / number
+    assert (abs(found - expected) <= 4.5 * np.sqrt(expected * (1 - expected) / number)).all()
     assert search.best == np.argmax(search.posterior.mean)
 
 
