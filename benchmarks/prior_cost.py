@@ -3,8 +3,9 @@
     python benchmarks/prior_cost.py blockpush --episodes 10
 
 For each size, the prior of a run is made anew, and a search adapts to validation tasks with it.
-The table has the episodes that the prior took, the mean return of the deployed latent, and the
-difference to the largest prior, paired by task, with half its 95 % interval.
+The table has the episodes of the archive, without those of the dense update and the calibration,
+the mean return of the deployed latent, and the difference to the largest prior, paired by task,
+with half its 95 % interval.
 """
 
 import shutil

@@ -1,7 +1,8 @@
 """A trained run in new tasks: from what a user names to curves, and to the files of them.
 
 Beside a table of curves stand the latents and a record, which says what decides the curves: two
-that agree in it are the same curves.
+that agree in it are the same curves. The prior of a search is the run's own unless its rule names
+another file; how it was made is not in the record.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
