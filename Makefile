@@ -40,8 +40,8 @@ test: $(TEST_READY) ## Run all checks, and all tests but the long ones
 	@$(MAKE) --no-print-directory --keep-going unit lint
 
 test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benchmarks, shipped policies
-	@$(BIN)/python -m pytest --quiet --tb=short -m "long or not long" tests/long
-	@$(BIN)/python -m pytest --quiet --tb=short -m long tests
+	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "long or not long" tests/long
+	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m long tests
 
 test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged files, full disks, wrong words
 	@PYTHONPATH=tests $(BIN)/python -m faults $(FAULTS)

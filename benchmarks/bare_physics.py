@@ -63,6 +63,11 @@ class Recorder:
         self._batches.append((np.asarray(task_index), episodes, start))
         return episodes
 
+    @property
+    def steps(self) -> int:
+        """Steps of all simulations that were played so far."""
+        return sum(episodes.valid.size for _, episodes, _ in self._batches)
+
     def clear(self) -> None:
         """Forget all that was played so far."""
         self.seconds, self._batches = 0.0, []

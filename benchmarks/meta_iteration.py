@@ -60,6 +60,8 @@ class Times:
     """Of its collections."""
     bare: np.ndarray
     """Of the physics of these collections alone."""
+    steps: int
+    """Steps of all simulations in the last of them."""
 
     @property
     def ratio(self) -> float:
@@ -108,7 +110,7 @@ def _measured(settings: Settings, learner: AbstractMetaLearner[Any, Any]) -> Tim
         collecting.append(collect.seconds)
         bare.append(physics.timed(collect.played()))
     world.close()
-    return Times(first, *map(np.array, (whole, collecting, bare)))
+    return Times(first, *map(np.array, (whole, collecting, bare)), collect.steps)
 
 
 def peak_memory() -> float:
@@ -137,6 +139,7 @@ def report(settings: Settings, times: Times) -> None:
     for name, seconds in rows.items():
         print(f"{name:42s} {seconds:7.3f} s  {seconds / physics:6.2f} x physics")
     print(f"peak memory: {peak_memory():.2f} GiB")
+    print(f"rate: {times.steps / np.median(whole):,.0f} steps/s")
     print(f"ratio: {times.ratio:.2f}")
 
 

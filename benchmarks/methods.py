@@ -104,7 +104,7 @@ def measure_updates(name: str, settings: Settings) -> Times:
         bare.append(physics.timed(collect.played()))
     world.close()
     timed = (np.array(seconds[1:]) for seconds in (whole, collecting, bare))
-    return Times(whole[0], *timed)
+    return Times(whole[0], *timed, collect.steps)
 
 
 def measure(name: str, settings: Settings) -> Times:

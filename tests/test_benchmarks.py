@@ -95,6 +95,11 @@ LINES: dict[str, tuple[dict[str, Any], str, int]] = {
         r"^ +\d+(?: +\d+\.\d+s){2} +\d+s$",
         1,
     ),
+    "outer_step_peers": (
+        {"tasks": 2, "episodes": 2, "repetitions": 1},
+        r"^ +\d+\.\d\d s  maesn(?:, its own defaults)?$",
+        2,
+    ),
     "vime_chain": (
         {"seeds": 1, "tasks": 2, "updates": 1, "episodes_per_task": 2},
         r"^(?:trpo|reinforce|random_bonus|vime)\t0\t2\t",
