@@ -58,8 +58,12 @@ def fitted(
 
 
 def misranked(before: Tensor, returns: Tensor) -> Tensor:
-    """Count the pairs that predictions, `[..., n, n]`, order otherwise than returns do, `[n]`."""
-    return (before != (returns[:, None] < returns)).sum((-1, -2))
+    """Count the pairs that predictions, `[..., n, n]`, order otherwise than returns do, `[n]`.
+
+    A prediction of a left-out reading is not compared with that reading: the diagonal is no pair.
+    """
+    pairs = ~torch.eye(len(returns), dtype=torch.bool)
+    return ((before != (returns[:, None] < returns)) & pairs).sum((-1, -2))
 
 
 def left_out(model: SingleTaskGP, y: Tensor) -> Tensor:
