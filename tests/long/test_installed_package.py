@@ -24,8 +24,7 @@ assert {"ablation", "paper", "quick"} <= set(shipped_studies())
 for name in shipped_studies():
     assert maesn.Study.load(name).jobs
 for name in policy_names():
-    family = maesn.find_family(name)
-    maesn.make_world(family.make_env(), family.task_set("test", size=1)).close()
+    maesn.Run.open(name).world("test").close()
 """
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from inline_executor import Here
 from scripts import load_script
+from study_files import files
 
 from maesn import cli
 from maesn.evaluation import exploration
@@ -104,15 +105,6 @@ def returns_in(tables: dict[str, bytes]) -> list[float]:
     """Return the mean returns of tables, row after row."""
     texts = [gzip.decompress(table).decode() for name, table in tables.items() if "csv" in name]
     return [float(row["mean_return"]) for text in texts for row in csv.DictReader(text.split("\n"))]
-
-
-def files(directory: Path) -> dict[str, bytes]:
-    """Return what a study has left for its readers."""
-    return {
-        str(path.relative_to(directory)): path.read_bytes()
-        for path in sorted(directory.rglob("*"))
-        if path.is_file()
-    }
 
 
 def status(study: Study, out: Path) -> dict[str, str]:

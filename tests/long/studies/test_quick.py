@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from study_files import files
 
 from maesn.storage import LOCK
 
@@ -22,7 +23,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What the study leaves undisturbed."""
     out = tmp_path_factory.mktemp("whole")
     finish(start(out))
-    return left(out)
+    return files(out / "quick")
 
 
 def start(out: Path, *options: str) -> subprocess.Popen[bytes]:
@@ -32,12 +33,6 @@ def start(out: Path, *options: str) -> subprocess.Popen[bytes]:
 
 def finish(process: subprocess.Popen[bytes]) -> None:
     assert process.wait() == 0
-
-
-def left(out: Path) -> dict[str, bytes]:
-    """Return all files of the report, by name."""
-    report = out / "quick"
-    return {str(p.relative_to(report)): p.read_bytes() for p in report.rglob("*") if p.is_file()}
 
 
 def kill_trainer(jobs: Path) -> bool:
@@ -61,7 +56,7 @@ def test_killed_at_twenty_random_moments(tmp_path: Path, whole: dict[str, bytes]
         kills += process.wait() == -signal.SIGKILL
     assert kills >= KILLS / 2  # the others came after the end
     finish(start(tmp_path))
-    assert left(tmp_path) == whole
+    assert files(tmp_path / "quick") == whole
 
 
 @pytest.mark.parametrize("is_killed", [False, True])
@@ -72,4 +67,4 @@ def test_on_ray(tmp_path: Path, whole: dict[str, bytes], *, is_killed: bool) -> 
         assert process.poll() is None
         time.sleep(0.05)
     finish(process)
-    assert left(tmp_path) == whole
+    assert files(tmp_path / "quick") == whole
