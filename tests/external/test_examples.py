@@ -68,7 +68,7 @@ def test_the_documented_commands(name: str, tmp_path: Path, monkeypatch: Any) ->
     assert maesn(["resume", "run", "--iterations", "2", *family]) == 0
     tasks = family_of(name)
     np.savez("few.npz", **{tasks.task_names[0]: tasks.task_set("test", 2).tasks})
-    adapt = ["adapt", "run", "--tasks", "few.npz", "--updates", "1", "--episodes-per-task", "2"]
+    adapt = ["adapt", "run", "--tasks", "few.npz", "--episodes", "2", "--episodes-per-update", "2"]
     assert maesn([*adapt, "--out", "table.csv", *family]) == 0
     with Path("table.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 4
