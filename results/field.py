@@ -248,11 +248,15 @@ def _gap(first: Returns, second: Returns) -> statistics.Interval:
 
 @style.publication_style()
 def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
-    """Draw a panel for each family that has results.
+    """Draw a panel for each family of which all lines are done that the figure shows.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
     """
-    shown = {name: lines for name, lines in tables.items() if any(one.cells for one in lines)}
+    shown = {
+        name: lines
+        for name, lines in tables.items()
+        if all(one.cells for one in lines if one.seeds[0]["line"] in SHOWN)
+    }
     rows = -(-len(shown) // _PANELS)
     drawn = style.new_figure(style.TWO_COLUMNS, 0.6 + 1.9 * rows)
     panels = drawn.subplots(rows, min(len(shown), _PANELS), squeeze=False).ravel()
