@@ -65,7 +65,7 @@ class Recorder:
 
     @property
     def steps(self) -> int:
-        """Steps of all simulations that were played so far."""
+        """Steps of all simulations so far, those after an early end included."""
         return sum(episodes.valid.size for _, episodes, _ in self._batches)
 
     def clear(self) -> None:

@@ -61,7 +61,7 @@ class Times:
     bare: np.ndarray
     """Of the physics of these collections alone."""
     steps: int
-    """Steps of all simulations in the last of them."""
+    """Steps of all simulations in the last of them, those after an early end included."""
 
     @property
     def ratio(self) -> float:

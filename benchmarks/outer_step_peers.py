@@ -6,12 +6,13 @@ r"""Seconds of an outer step of MAML with TRPO, beside two other libraries on th
         --torch-python TORCH/bin/python --jax-python JAX/bin/python
 
 TORCH and JAX are environments with what each library needs: torch, numpy and gym for the first, for
-the second what its `pyproject.toml` names (Python 3.12 or newer). All compute the same from the
-same episodes: the gradient through one inner update, ten conjugate gradient steps with the
-curvature of all time steps, and one candidate of the line search. No episode is played, nothing is
-compiled in the timed part. Ours also estimates advantages and adapts the agents once more. The last
-row has our defaults: 20 conjugate gradient steps, with the curvature of every 20th time step and
-the Hessian of every 4th, and up to 15 candidates. The rows run in turn, each with all cores.
+the second what its `pyproject.toml` names (Python 3.12 or newer). All do the same work on the same
+episodes: the gradient through one inner update, ten conjugate gradient steps with the curvature of
+all time steps, and one candidate of the line search. The values differ: each starts from random
+weights of its own. No episode is played, and nothing is compiled in the timed part. Ours also
+estimates advantages and adapts the agents once more. The last row has our defaults: 20 conjugate
+gradient steps, the curvature of every 20th time step, the Hessian of every 4th, and up to 15
+candidates. The rows run in turn, each with all cores.
 """
 
 import os
@@ -120,8 +121,8 @@ def print_theirs(library: str, episodes: Path, settings: Settings) -> None:
     if clone is not None:
         script = HERE / f"outer_step_{library}.py"
         command = [python, script, episodes, str(settings.repetitions)]
-        found = os.environ | {"PYTHONPATH": str(clone.resolve())}
-        subprocess.run(command, check=True, env=found)
+        environment = os.environ | {"PYTHONPATH": str(clone.resolve())}
+        subprocess.run(command, check=True, env=environment)
 
 
 def main(settings: Settings) -> None:

@@ -39,8 +39,8 @@ def print_row(library: ModuleType, on: str, step_of: Callable[[Batch, Batch], An
         step()
         seconds.append(time.perf_counter() - begin)
     clone = Path(str(library.__file__)).parent.parent
-    asked = ["git", "-C", clone, "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(asked, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
+    command = ["git", "-C", clone, "describe", "--always", "--dirty"]
+    commit = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
     print(
         f"{np.median(seconds[1:]):8.2f} s  {library.__name__} {commit}, {on} {version(on)}; "
         f"first step {seconds[0]:.1f} s"

@@ -248,7 +248,7 @@ def _gap(first: Returns, second: Returns) -> statistics.Interval:
 
 @style.publication_style()
 def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
-    """Draw a panel for each family of which all lines are done that the figure shows.
+    """Draw a panel for each family where every line of the figure has results.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
     """
