@@ -27,6 +27,7 @@ from typing import Any
 import jax
 import numpy as np
 import tyro
+from outer_step_theirs import CG_STEPS
 
 from maesn.envs import find_family
 from maesn.experience.agent import Agents
@@ -40,7 +41,7 @@ from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 HERE = Path(__file__).parent
-EQUAL = TrustRegionOuterStep(TrustRegion(cg_steps=10, max_backtracks=1), 1, 1)
+EQUAL = TrustRegionOuterStep(TrustRegion(cg_steps=CG_STEPS, max_backtracks=1), 1, 1)
 
 
 @dataclass(frozen=True)

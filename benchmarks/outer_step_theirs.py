@@ -19,12 +19,12 @@ Batch: TypeAlias = dict[str, np.ndarray]
 """Arrays `[task, episode, time, ...]` of a collection."""
 
 
-def print_row(library: ModuleType, on: str, step_of: Callable[[Batch, Batch], Any]) -> None:
+def print_row(library: ModuleType, backend: str, step_of: Callable[[Batch, Batch], Any]) -> None:
     """Time `step_of(pre, post)` on the episodes that the command names, and print its row.
 
     Args:
         library: the package whose step it is, from a clone of its repository.
-        on: distribution that it computes with.
+        backend: distribution that it computes with.
         step_of: takes the collections before and after the inner update; returns the step.
     """
     path, repetitions = sys.argv[1], int(sys.argv[2])
@@ -42,6 +42,6 @@ def print_row(library: ModuleType, on: str, step_of: Callable[[Batch, Batch], An
     command = ["git", "-C", clone, "describe", "--always", "--dirty"]
     commit = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
     print(
-        f"{np.median(seconds[1:]):8.2f} s  {library.__name__} {commit}, {on} {version(on)}; "
-        f"first step {seconds[0]:.1f} s"
+        f"{np.median(seconds[1:]):8.2f} s  {library.__name__} {commit}, {backend} "
+        f"{version(backend)}; first step {seconds[0]:.1f} s"
     )

@@ -248,14 +248,18 @@ def _gap(first: Returns, second: Returns) -> statistics.Interval:
 
 @style.publication_style()
 def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
-    """Draw a panel for each family where every line of the figure has results.
+    """Draw a panel for each family whose lines of the figure all have results.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
     """
-    shown = {
-        name: lines
+    compared = {
+        name: [one for one in lines if one.seeds[0]["line"] in SHOWN]
         for name, lines in tables.items()
-        if all(one.cells for one in lines if one.seeds[0]["line"] in SHOWN)
+    }
+    shown = {
+        name: tables[name]
+        for name, lines in compared.items()
+        if lines and all(one.cells for one in lines)
     }
     rows = -(-len(shown) // _PANELS)
     drawn = style.new_figure(style.TWO_COLUMNS, 0.6 + 1.9 * rows)

@@ -24,7 +24,8 @@ assert {"ablation", "paper", "quick"} <= set(shipped_studies())
 for name in shipped_studies():
     assert maesn.Study.load(name).jobs
 for name in policy_names():
-    maesn.Run.open(name).world("test").close()
+    run = maesn.Run.open(name)
+    run.world(run.task_set("test")).close()
 """
 
 
