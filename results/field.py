@@ -248,7 +248,7 @@ def _gap(first: Returns, second: Returns) -> statistics.Interval:
 
 @style.publication_style()
 def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
-    """Draw a panel for each family whose lines of the figure all have results.
+    """Draw a panel for each family whose lines of the figure all have results, if there is one.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
     """
@@ -261,6 +261,8 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
         for name, lines in compared.items()
         if lines and all(one.cells for one in lines)
     }
+    if not shown:
+        return
     rows = -(-len(shown) // _PANELS)
     drawn = style.new_figure(style.TWO_COLUMNS, 0.6 + 1.9 * rows)
     panels = drawn.subplots(rows, min(len(shown), _PANELS), squeeze=False).ravel()
@@ -277,6 +279,7 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
     drawn.legend(known.values(), known.keys(), loc="outside lower center", ncols=_PANELS)
     style.settle(drawn)
     drawn.savefig(FIGURES / "field.png")
+    print(FIGURES / "field.png")
 
 
 def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[float]) -> None:
@@ -315,8 +318,8 @@ def main(studies: tuple[str, ...] = (), out: Path = HERE.parent) -> None:
     tables = entries()
     page = to_page([make(*item) for item in tables.items() for make in (table, differences)])
     write_whole(HERE / "table.md", page.encode())
+    print(HERE / "table.md")
     draw(tables)
-    print(HERE / "table.md", FIGURES / "field.png", sep="\n")
 
 
 if __name__ == "__main__":
