@@ -1,7 +1,7 @@
 """The table and the figure of the field: every method on every task set, few episodes apart.
 
     python results/field.py    # both, of what is in results/field
-    python results/field.py --studies field results/field_robots.toml paper    # anew, from studies
+    python results/field.py --studies field results/field_robots.toml    # anew, from studies
 
 `field/results.csv.gz` has the return of each seed in each task; `field/lines.csv` what the training
 of each seed took, and what the seeds that are not done would take. A training that several lines
@@ -41,7 +41,6 @@ SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, a
 # Lines of the figure -> their looks.
 SHOWN = {
     **{name: METHOD_STYLES[name] for name in ("maml", "pearl", "rl2", "varibad")},
-    "maml_bias_only": METHOD_STYLES["maml"],
     "maesn-gradient": MethodStyle("MAESN, gradient", style.ORANGE, "--", "D"),
     SEARCH: MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
 }
@@ -54,28 +53,22 @@ Returns = Float[np.ndarray, "seed task"]
 
 
 def collect(studies: Sequence[str], out: Path) -> None:
-    """Write the raw results of studies, and what their lines took or would take.
-
-    A line that several studies have is taken from the first. Studies that are not in `out` are
-    those beside this script.
-    """
+    """Write the raw results of studies, and what their lines took or would take."""
     results: list[dict[str, Any]] = []
     lines: list[dict[str, Any]] = []
-    seen: set[tuple[str, str]] = set()
     for study in map(Study.load, studies):
-        directory, execution = _results(study, out), study.execution(out)
+        directory, execution = out / study.spec.name, study.execution(out)
+        if out.resolve() != HERE.parent.resolve():  # where studies may be pruned
+            directory.mkdir(exist_ok=True)
+            study.write_results(out)
         manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
         worlds = {world["name"]: world for world in manifest.get("comparisons", ())}
         groups = {"lines": "method", "baselines": FLOOR}.items()
         for planned, (group, of) in product(study.comparisons, groups):
             found = {line["name"]: line for line in worlds.get(planned.name, {}).get(group, ())}
             for line in planned.lines[group]:
-                # What a study trains in another way on one family has the family's name in its own.
-                name = line.name.removesuffix(f"_{planned.name}")
-                if (planned.name, name) in seen:
-                    continue
-                seen.add((planned.name, name))
-                about = {"family": planned.name, "line": name, "label": line.label, "kind": of}
+                about = {"family": planned.name, "line": line.name, "label": line.label}
+                about |= {"kind": of}
                 about |= {"tasks": line.asked.tasks, "protocol": line.asked.protocol or ""}
                 about["trained_for"] = line.trial_episodes
                 done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
@@ -97,17 +90,6 @@ def collect(studies: Sequence[str], out: Path) -> None:
                         )
     for path, rows, names in ((LINES, lines, LINE), (RESULTS, results, RESULT)):
         write_rows(path, [{name: _short(row.get(name)) for name in names} for row in rows])
-
-
-def _results(study: Study, out: Path) -> Path:
-    """Return the directory of a study's results, up to date if its jobs are in `out`."""
-    directory, kept = (home / study.spec.name for home in (out, HERE.parent))
-    if kept.exists() and not directory.exists():
-        return kept
-    if directory.resolve() != kept.resolve():  # there, jobs may be pruned
-        directory.mkdir(exist_ok=True)
-        study.write_results(out)
-    return directory
 
 
 def _short(value: Any) -> str:
