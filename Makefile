@@ -39,7 +39,7 @@ check: $(TEST_READY) ## Check style, types, imports and the fast tests, in under
 test: $(TEST_READY) ## Run all checks, and all tests but the long ones
 	@$(MAKE) --no-print-directory --keep-going unit lint
 
-test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benchmarks, shipped policies
+test-long: $(TEST_READY) ## Run the tests that take minutes: learning, benchmarks, shipped policies
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "long or not long" tests/long
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m long tests
 

@@ -89,12 +89,6 @@ LINES: dict[str, tuple[dict[str, Any], str, int]] = {
         r"^(?:maesn|pearl|reinforce)(?: +\d+\.\d+){7}$",
         3,
     ),
-    # Steps per second, and seconds of a collection, a meta-iteration and compilation.
-    "mjx": (
-        {"families": ("wheeled",), "meta_batch_size": 2, "episodes_per_task": 2, "repeats": 1},
-        r"^ +\d+(?: +\d+\.\d+s){2} +\d+s$",
-        1,
-    ),
     "outer_step_peers": (
         {"tasks": 2, "episodes": 2, "repetitions": 1},
         r"^ +\d+\.\d\d s  maesn(?:, its own defaults)?$",

@@ -23,7 +23,7 @@ COMMANDS = {
     "export": "write a trained policy as one file: for the NumPy runtime, or as an ONNX network",
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",
-    "doctor": "show versions, engine, cores, graphics card and cache; let a robot drive",
+    "doctor": "show versions, cores, graphics card and cache; let a robot drive",
     "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 

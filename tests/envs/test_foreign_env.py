@@ -268,10 +268,9 @@ def modules_after(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium_and_no_mjx() -> None:
+def test_a_foreign_family_needs_no_engine_of_ours_and_ours_need_no_gymnasium() -> None:
     assert "mujoco.batch" not in modules_after("import maesn.envs.foreign, maesn.worlds.foreign")
-    loaded = modules_after("import maesn.envs, maesn.worlds, maesn.api")
-    assert not {"gymnasium", "mujoco.mjx"} & loaded
+    assert "gymnasium" not in modules_after("import maesn.envs, maesn.worlds, maesn.api")
 
 
 def test_a_worker_needs_numpy_alone() -> None:

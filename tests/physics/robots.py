@@ -6,8 +6,6 @@ from importlib import resources
 import mujoco
 import numpy as np
 
-from maesn.physics import load_model
-
 ROBOTS = ("ant", "blockpush", "wheeled")
 LOOKS = {"site", "camera", "light", "visual", "statistic", "asset", "sensor"}
 
@@ -37,12 +35,3 @@ def inertia_tensor(model: mujoco.MjModel, body: str) -> np.ndarray:
     mujoco.mju_quat2Mat(axes, model.body(body).iquat)
     axes = axes.reshape(3, 3)
     return axes @ np.diag(model.body(body).inertia) @ axes.T
-
-
-def ants_near_the_ground() -> tuple[np.ndarray, np.ndarray]:
-    """Ants on their feet, with shins so level that both engines lay the friction cone alike."""
-    model, generator = load_model("ant"), np.random.default_rng(2)
-    qpos = np.tile(model.key_qpos[0], (3, 1))
-    qpos[:, 8::2] *= 0.7
-    qpos[:, 2] = [0.42, 0.44, 0.8]  # the last one is in the air
-    return qpos, 0.1 * generator.normal(size=(3, 14))

@@ -66,7 +66,7 @@ def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Pa
     [
         ({}, "test-sparse", ""),
         ({"episodes": 500, "tasks_at_once": 3, "num_threads": 2}, "test-sparse", ""),
-        ({"tasks": "ood", "reward": "dense", "engine": "mjx"}, "ood-on-mjx-dense", ""),
+        ({"tasks": "ood", "reward": "dense"}, "ood-dense", ""),
         ({"episodes": 100}, "test-sparse-with-100-episodes", "with 100 episodes"),
         (
             {"episodes": 40, "episodes_per_update": 20, "deploy_episodes": 5, "seed": 3},
@@ -94,8 +94,8 @@ def test_all_that_decides_the_numbers_is_in_the_name_of_the_file(
     [
         ("file-my-sparse-goals-0a1b2c-dense", ("file-my-sparse-goals-0a1b2c", "dense", "", "")),
         (
-            "ood-on-mjx-sparse-3-full-steps-a0b1c2",
-            ("ood-on-mjx", "sparse", "-3-full-steps-a0b1c2", ""),
+            "ood-first-3-sparse-3-full-steps-a0b1c2",
+            ("ood-first-3", "sparse", "-3-full-steps-a0b1c2", ""),
         ),
         (
             "test-sparse-cma-with-restarts-a0b1c2",

@@ -41,7 +41,7 @@ def test_one_seed_given_twice_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "other", [{"family": "point"}, {"variant": "paper"}, {"sparse_radius": 1.0}, {"engine": "mjx"}]
+    "other", [{"family": "point"}, {"variant": "paper"}, {"sparse_radius": 1.0}]
 )
 def test_runs_whose_returns_cannot_be_compared_are_refused(
     tmp_path: Path, other: dict[str, Any]

@@ -69,7 +69,6 @@ def test_the_world_changes_with_its_settings(tmp_path: Path) -> None:
         ({"seed": "5"}, "seed"),
         ({"seed": -1}, "seed"),
         ({"sparse_radius": None}, "sparse_radius"),
-        ({"engine": "mjx"}, "engine"),
         ({"outer.trust_region.damping": -1.0}, "damping"),
         ({"meta_batch_size": 500}, "meta_batch_size"),
     ],

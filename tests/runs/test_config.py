@@ -75,6 +75,7 @@ def assert_is_changed(directory: Path, text: str) -> None:
         ({"learner": {"type": "Trojan"}}, "Trojan"),
         ({"learner": {"type": "NoContext"}}, "MetaLearner, got .NoContext"),
         ({"settings": []}, "RunConfig.settings"),
+        ({"settings": {"engine": "mjx"}}, "was trained on MJX"),
         ({"versions": {"jax": 1}}, "RunConfig.versions.jax"),
         ({"changes": [{"iteration": 1}]}, "changed"),
         ({"surprise": 1}, "surprise"),

@@ -68,7 +68,7 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
     of_run = [
         name
         for name in fields_to_json(member.run.settings)
-        if name not in ("method", "family", "variant", "engine", "seed", "num_threads")
+        if name not in ("method", "family", "variant", "seed", "num_threads")
     ]
     for name, value in leaves(fields_to_json(member.run.learner)).items():
         if not name.endswith("type") and value is not None:

@@ -1,21 +1,23 @@
 """Episodes of the native engine against plain loops over `mujoco.mj_step` and a closed form."""
 
 import functools
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from carts import MOTOR, TIME_STEP, CartTask, cart_on, pushed
 from physics.by_hand import ROBOTS, Judged
 from physics.plain import plain_episodes
-from playing import agents, constant_agents, keys
+from playing import agents, constant_agents, keys, play
 
 from maesn.axes import Key
-from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, Wheeled, find_family
+from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
 from maesn.experience.episodes import Episodes
 from maesn.physics import load_model
-from maesn.worlds import make_world
+from maesn.worlds import EpisodeError, make_world
 from maesn.worlds.collector import Collector
 
 TASK_INDEX = [17, 3]
@@ -136,3 +138,35 @@ def test_these_episodes_have_what_is_to_be_compared(played: Played) -> None:
     ended = [judged.ends.any() for judged in played.judged]
     assert any(ended) == (played.env.name == "ant")
     assert not all(ended)
+
+
+CARTS = TaskSet(CartTask(np.float32([0.0, 5.0, 0.0]), np.float32([1.0, 2.0, 8.0])))
+
+
+def test_tasks_may_change_the_dynamics(tmp_path: Path) -> None:
+    env = cart_on(tmp_path, MOTOR)(force=3.0)
+    task_index, count = [2, 0, 1], 2
+    cast = agents(env, 3)
+    episodes = play(env, CARTS, task_index, episodes=count, cast=cast)
+    steps = np.arange(env.horizon + 1)
+    for slot, (key, index) in enumerate(zip(keys(3), task_index, strict=True)):
+        for episode in range(count):
+            start_key = jax.random.split(jax.random.fold_in(key, episode), 3)[1]
+            first = float(CARTS[index].speed) * bool(pushed(start_key))
+            change = TIME_STEP * 3.0 / float(CARTS[index].mass)
+            # v_t = v_0 + h a t and x_t = sum_{s = 1 ... t} h v_s = h v_0 t + h^2 a t (t + 1) / 2
+            speed = first + change * steps
+            place = TIME_STEP * (first * steps + change * steps * (steps + 1) / 2)
+            np.testing.assert_allclose(
+                episodes.observation[slot, episode],
+                np.stack([place, speed], axis=-1),
+                rtol=1e-5,
+                atol=1e-6,
+            )
+
+
+def test_a_field_that_is_not_finite_is_named(tmp_path: Path) -> None:
+    env = cart_on(tmp_path, MOTOR)(force=3.0)
+    broken = TaskSet(CartTask(np.float32([0.0, 0.0]), np.float32([1.0, np.nan])))
+    with pytest.raises(EpisodeError, match="cart, task 1, episode 0, step 0: `body_mass` must be"):
+        play(env, broken, [0, 1], cast=agents(env, 2))

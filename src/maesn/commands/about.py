@@ -25,12 +25,12 @@ from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import num_cpus
 
 # Packages that extras of the installation bring.
-_EXTRAS = ("gymnasium", "mujoco-mjx", "ray", "onnx")
+_EXTRAS = ("gymnasium", "ray", "onnx")
 
 
 @command
 def doctor() -> None:
-    """Show versions, engine, cores, graphics card, cache and policies; let a robot drive."""
+    """Show versions, cores, graphics card, cache and policies; let a robot drive."""
     packages = {"maesn": __version__} | installed_versions("mujoco.batch")
     facts: dict[str, Sequence[object]] = {
         "versions": [f"{name} {number}" for name, number in packages.items()],

@@ -61,7 +61,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
 
     name: eqx.AbstractClassVar[str]
     engine: eqx.AbstractClassVar[str]
-    """What moves the world; the key of `maesn.worlds.make_world`."""
+    """What moves the world, as runs record it."""
     horizon: eqx.AbstractVar[int]
     """T, the number of control steps of an episode."""
     control_period: eqx.AbstractClassVar[float]

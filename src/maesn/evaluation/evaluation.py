@@ -14,7 +14,6 @@ from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, written_
 from maesn.runs.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
-from maesn.worlds import EngineName
 
 TASKS_AT_ONCE = 25  # at most, unless asked for: more are no faster on two cores
 
@@ -58,8 +57,6 @@ class Evaluation:
     sparse_radius: float | None = None
     """Radius around the goal, in metres, within which sparse reward tells the distance. None: that
     of the run."""
-    engine: EngineName | None = None
-    """Engine that moves the world, native or mjx; None: the run's own."""
     num_threads: int | None = None
     """Threads of the physics engine, 0 for one for each CPU; None: as the run's settings say."""
     tasks_at_once: int | None = None

@@ -32,7 +32,7 @@ from maesn.storage import (
     write_json,
     write_rows,
 )
-from maesn.worlds import AbstractWorld, check_policy, engine_of
+from maesn.worlds import AbstractWorld, check_policy
 from maesn.worlds.collector import Collector
 
 
@@ -52,7 +52,6 @@ def new_tasks(
     world = run.world(
         run.task_set(evaluation.tasks),
         evaluation.reward,
-        evaluation.engine,
         sparse_radius=evaluation.sparse_radius,
         num_threads=evaluation.num_threads,
     )
@@ -83,7 +82,6 @@ def evaluate(
         "rule": evaluation.rule_text,
         "label": evaluation.label,
         "world": describe_env(world.env),
-        "engine": engine_of(world.env, evaluation.engine or run.settings.engine),
         "task_digest": world.tasks.digest(),
         "episodes_per_update": budget.per_update,
         "deploy_episodes": budget.deploy,
@@ -100,10 +98,9 @@ def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
     """Return where a table of adaptation curves goes by default, `DIR/adaptation/TASKS-REWARD.csv`.
 
     TASKS is the name of a set, or `file-STEM-DIGEST` for a user's own file. Behind it stand number
-    of tasks, sparse radius and engine where they are not the usual ones: those never share a
-    figure. Behind the reward stand rule and wrappers, then budgets, seed and noise where they are
-    not the usual ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another
-    name.
+    of tasks and sparse radius where they are not the usual ones: those never share a figure. Behind
+    the reward stand rule and wrappers, then budgets, seed and noise where they are not the usual
+    ones, as in `test-sparse-with-100-episodes-seed-1.csv`: other numbers have another name.
     """
     name = evaluation.tasks
     if name not in NAMED_SETS:
@@ -113,8 +110,6 @@ def adaptation_file(directory: Path, evaluation: Evaluation) -> Path:
         name += f"-first-{evaluation.num_tasks}"
     if evaluation.sparse_radius:
         name += f"-radius-{evaluation.sparse_radius}"
-    if evaluation.engine:
-        name += f"-on-{evaluation.engine}"
     budget = "-with-" + "-".join(_unusual(evaluation))
     named = TableName(name, evaluation.reward, evaluation.suffix, budget.removesuffix("-with-"))
     return named.path(directory)

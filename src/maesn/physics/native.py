@@ -205,8 +205,8 @@ def _import_engine() -> ModuleType:
         return importlib.import_module("mujoco.batch")
     except ImportError as error:
         raise EngineError(
-            "the native engine needs mujoco >= 4.0, which brings `mujoco.batch`, but found mujoco "
-            f"{mujoco.__version__}: install a newer MuJoCo, or play this family on another engine"
+            "the physics needs mujoco >= 4.0, which brings `mujoco.batch`, but found mujoco "
+            f"{mujoco.__version__}: install a newer MuJoCo"
         ) from error
 
 

@@ -30,7 +30,7 @@ _REMEDY = "write it again with `maesn adapt`"
 class TableName(NamedTuple):
     """The parts of a table's name."""
 
-    # The task set; behind it number of tasks, radius and engine where they are not the usual ones.
+    # The task set; behind it number of tasks and radius where they are not the usual ones.
     tasks: str
     reward: str  # empty if the file has another kind of name
     rule: str = ""  # rule, wrappers and digest, after a hyphen; empty for the method as it is

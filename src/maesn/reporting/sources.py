@@ -21,7 +21,7 @@ MANIFEST = "study.json"
 RUN_FIGURES = ("curves", "tasks", "exploration", "noise", "latents")
 
 # Returns can be compared only if these are the same.
-_WORLD = ("family", "variant", "sparse_radius", "engine")
+_WORLD = ("family", "variant", "sparse_radius")
 # Two seeds of one experiment may differ in these: they change nothing, or chance alone.
 _IMMATERIAL = ("seed", "checkpoint_every", "num_threads")
 

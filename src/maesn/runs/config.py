@@ -33,7 +33,6 @@ from maesn.runs.serialization import (
 )
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
-from maesn.worlds import EngineName, engine_of
 from maesn.worlds.budget import check_memory, warn_of_duration
 
 
@@ -61,8 +60,8 @@ SCHEMA = 3
 CONFIG = "config.json"
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
-# Engine -> the packages that it needs beside those.
-_ENGINE_PACKAGES = {"mujoco.mjx": ("mujoco-mjx",), "gymnasium": ("gymnasium",)}
+# Runs of before could choose an engine, and digests in files and names cover the choice.
+_ENGINE = "native"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,14 +93,10 @@ class RunSettings:
     """Number of iterations between two checkpoints. Another is written at the end and on Ctrl-C."""
     num_threads: int = 0
     """Number of threads of the physics engine. 0: one for each CPU."""
-    engine: EngineName = "native"
-    """Engine that computes the motion. native: MuJoCo on the CPU, or the family's own code. mjx:
-    MuJoCo on the accelerator, for families with a MuJoCo model."""
 
     def __post_init__(self) -> None:
         check_choice("variant", self.variant, Variant)
         check_choice("reward", self.reward, RewardKind)
-        check_choice("engine", self.engine, EngineName)
         check_numbers(self, iterations=0, num_threads=0, episodes_per_task=1, checkpoint_every=1)
 
     @property
@@ -133,7 +128,7 @@ class RunConfig:
     family: str  # the family's own name, by which it is found again
     world: EnvRecord  # the environment of training
     task_digest: str  # digest of the training tasks
-    engine: str  # the engine that moves the world
+    engine: str  # what moves the world
     versions: dict[str, str]  # versions of Python and of the packages that took part
     changes: tuple[Change, ...] = ()  # since the run began, the earliest first
     # `init_from`: learner and weights that the run began with. `command` and `commit`: how a policy
@@ -142,7 +137,9 @@ class RunConfig:
 
     def document(self) -> dict[str, Any]:
         """Return all of it but its digest, as JSON values."""
-        return {"schema": SCHEMA, **fields_to_json(self)}
+        document = {"schema": SCHEMA, **fields_to_json(self)}
+        document["settings"]["engine"] = _ENGINE
+        return document
 
     def digest(self) -> str:
         """Return a hexadecimal hash of all of it: equal if and only if it is."""
@@ -160,15 +157,14 @@ def new_config(
     check_memory(env, settings.episodes_per_task)  # of one task; a batch of them is checked later
     warn_of_duration(env, settings.episodes_per_task * settings.iterations)
     with refusals():
-        engine = engine_of(env, settings.engine)
         made = RunConfig(
             settings=settings,
             learner=learner,
             family=family.name,
             world=describe_env(env),
             task_digest=tasks.digest(),
-            engine=engine,
-            versions=installed_versions(engine),
+            engine=env.engine,
+            versions=installed_versions(env.engine),
         )
         # As a later process will read it: 1 and 1.0 are one setting, but could be two programs.
         return fields_from_json(RunConfig, fields_to_json(made))
@@ -187,7 +183,7 @@ def make_env(
 def installed_versions(engine: str) -> dict[str, str]:
     """Return the versions that decide whether a run can be repeated bit for bit."""
     versions = {"python": platform.python_version()}
-    for name in (*_PACKAGES, *_ENGINE_PACKAGES.get(engine, ())):
+    for name in (*_PACKAGES, *(["gymnasium"] if engine == "gymnasium" else [])):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[name] = importlib.metadata.version(name)
     return versions
@@ -210,6 +206,11 @@ def read_config(directory: Path) -> RunConfig:
     with refusals(f"`{path}` cannot be understood, it may be of another version of maesn: "):
         if document.pop("schema", None) != SCHEMA:
             raise ValueError(f"its schema must be {SCHEMA}.")
+        settings = document.get("settings")
+        if isinstance(settings, dict) and settings.pop("engine", _ENGINE) != _ENGINE:
+            raise RunError(
+                f"`{directory}` was trained on MJX, which maesn has no more: train anew."
+            )
         try:
             return fields_from_json(RunConfig, document)
         except UnknownTypeError as error:

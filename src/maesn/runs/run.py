@@ -33,7 +33,7 @@ from maesn.runs.config import (
 from maesn.runs.log import METRICS
 from maesn.runs.serialization import digest_of_document, own_type, to_json
 from maesn.storage import RunError, refusals
-from maesn.worlds import AbstractWorld, EngineName, check_env_contract, check_policy, make_world
+from maesn.worlds import AbstractWorld, check_env_contract, check_policy, make_world
 
 logger = logging.getLogger(__name__)
 
@@ -96,7 +96,6 @@ class Run:
         config = new_config(settings, learner, family, tasks)
         own = settings.own_family, settings.own_method or own_type(learner)
         run = cls(Path(directory), config, family, tasks, *own)
-        run.world().close()  # the engine may lack something
         with refusals():
             check_env_contract(run.env(), tasks[0])
             learner.check_batch(settings.episodes_per_task)
@@ -171,19 +170,13 @@ class Run:
         self,
         tasks: TaskSet | None = None,
         reward_kind: RewardKind | None = None,
-        engine: EngineName | None = None,
         sparse_radius: float | None = None,
         num_threads: int | None = None,
     ) -> AbstractWorld:
-        """Return a world to play in. None stands for what the run itself trains with.
-
-        An engine that is not installed is an `EngineError`, one that cannot move it a `RunError`.
-        """
+        """Return a world to play in. None stands for what the run itself trains with."""
         tasks = self.training_tasks if tasks is None else tasks
         threads = self.settings.num_threads if num_threads is None else num_threads
-        env = self.env(reward_kind, sparse_radius)
-        with refusals():
-            return make_world(env, tasks, threads, engine or self.settings.engine)
+        return make_world(self.env(reward_kind, sparse_radius), tasks, threads)
 
     def iteration_key(self, iteration: int) -> Key:
         """Return the key that all draws of one iteration, 0 to 2^32 - 2, derive from."""

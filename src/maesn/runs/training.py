@@ -30,7 +30,6 @@ from maesn.runs.serialization import TAG, replaced
 from maesn.runtime.archive import PARTIAL
 from maesn.settings import check_number
 from maesn.storage import RunError, locked, refusals
-from maesn.worlds import engine_of
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
@@ -241,7 +240,6 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
         if settings.sparse_radius is None and "sparse_radius" in changes:
             raise ValueError("`sparse_radius` must be a number of metres, got None.")
         env = run.env(settings.reward, settings.sparse_radius)
-        engine = engine_of(env, settings.engine)
     with locked(run.directory):
         change = Change(run.latest().iteration, dict(changes), run.config.digest())
         config = dataclasses.replace(
@@ -249,13 +247,11 @@ def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
             settings=settings,
             learner=learner,
             world=describe_env(env),
-            engine=engine,
             changes=(*run.config.changes, change),
         )
         changed = dataclasses.replace(run, config=config)
         if not eqx.tree_equal(changed.structure(), run.structure()):
             raise _cannot_change(", ".join(changes))
-        changed.world().close()  # the engine may lack something
         write_config(run.directory, config)
     return changed
 

@@ -93,7 +93,6 @@ def compare(
         families=(family or _common("family", opened.values()),),
         seeds=(evaluation.seed,),
         variant=_common("variant", opened.values()),
-        engine=evaluation.engine or _common("engine", opened.values()),
         evaluation_seed=evaluation.seed,
         threads=evaluation.num_threads or 1,
         oracle="" if oracle is None else "oracle",

@@ -34,7 +34,7 @@ from maesn.worlds.collector import Collector
 RUN = "run"  # in the directory of a job that trains
 
 # Settings that the study decides, or that differ from run to run: `[runs.NAME]` cannot have them.
-_NOT_OF_A_RUN = ("method", "family", "variant", "engine", "seed", "num_threads")
+_NOT_OF_A_RUN = ("method", "family", "variant", "seed", "num_threads")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,7 @@ class Untrained(AbstractMember):
     """A learner that was not trained: a method from scratch, or a baseline."""
 
     world: RunSettings
-    """Settings of the environment and the engine; the others have no meaning here."""
+    """Settings of the environment; the others have no meaning here."""
     learner: AbstractFastLearner[Any]
 
     def env(self, asked: Evaluation) -> AnyEnv:
@@ -124,9 +124,7 @@ class Untrained(AbstractMember):
 
     def play(self, asked: Evaluation, tasks: Sequence[int], jobs: Path) -> AdaptationOutcome:
         new = find_tasks(asked.tasks, resolve_family(self.world.family))
-        with refusals():
-            world = make_world(self.env(asked), new, self.world.num_threads, self.world.engine)
-        with closing(world):
+        with closing(make_world(self.env(asked), new, self.world.num_threads)) as world:
             collect = Collector(world, asked.budget.per_update)
             return adapt(self.learner, collect, asked, tasks=tasks)
 

@@ -30,7 +30,6 @@ from maesn.studies.members import (
 from maesn.studies.planned import PlannedComparison, PlannedLine, labelled
 from maesn.studies.reading import check_names
 from maesn.studies.spec import RECORDED, LineSpec, Place, StudySpec, is_for
-from maesn.worlds import engine_of
 
 
 def make_plan(study: StudySpec) -> tuple[dict[str, Job], list[PlannedComparison]]:
@@ -119,7 +118,6 @@ class _Planner:
             # It is said because runs may have been trained with another one.
             sparse_radius=members[0].env(asked).sparse_radius or None,
             seed=self.study.evaluation_seed,
-            engine=self.study.engine,
             num_threads=self.study.threads,
         )
         trials = [member.trial_episodes(asked) for member in members]
@@ -194,7 +192,7 @@ class _Planner:
         of_task = (budget.episodes + budget.per_update + budget.deploy * columns) * env.horizon
         document = {
             "rule": asked.rule_text,
-            "engine": engine_of(env, self.study.engine),
+            "engine": env.engine,
             "tasks": tasks.digest(),
             "budget": [*budget, *asked.deploy_after],
             "seed": asked.seed,

@@ -92,7 +92,7 @@ def _evaluations(table: Mapping[str, Any], place: Place) -> EvaluationSpec:
 
 
 def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
-    """Read an evaluation: rule and wrappers are texts; the study gives seed, engine and threads."""
+    """Read an evaluation: rule and wrappers are texts; the study gives seed and threads."""
     chosen = {}
     for option in (one for one in KNOWN if one in table):
         with (place / option).refusing():
@@ -102,7 +102,7 @@ def _evaluation(table: Mapping[str, Any], place: Place) -> Any:
     usual = {name: [*value] if isinstance(value, tuple) else value for name, value in by}
     plain = usual | {name: value for name, value in table.items() if name not in KNOWN}
     given = {"rule": chosen.pop("rule", None), "wrappers": tuple(chosen.values())}
-    return _object(Evaluation, plain, place, **given, engine=None, num_threads=None, seed=0)
+    return _object(Evaluation, plain, place, **given, num_threads=None, seed=0)
 
 
 def check_names(study: StudySpec) -> None:

@@ -14,7 +14,6 @@ from maesn.evaluation.evaluation import USUAL, Evaluation
 from maesn.runs.config import RunSettings
 from maesn.settings import check_choice, check_number, check_positive, suggestion
 from maesn.storage import RunError
-from maesn.worlds import EngineName
 
 FigureKind: TypeAlias = Literal[
     "curves", "dots", "profiles", "tasks", "exploration", "noise", "latents"
@@ -158,7 +157,6 @@ class StudySpec:
     seeds: tuple[int, ...] = (0,)
     """Seeds of everything that is trained or begins anew; see `evaluation_seed`."""
     variant: Variant = "reference"
-    engine: EngineName = "native"
     evaluation_seed: int = 0
     """Seed of the episodes in which runs adapt."""
     threads: int = 1
@@ -197,7 +195,6 @@ class StudySpec:
         return RunSettings(
             family=name,
             variant=cast(Variant, variant),
-            engine=self.engine,
             num_threads=self.threads,
         )
 

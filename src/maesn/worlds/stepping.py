@@ -95,11 +95,11 @@ class NativeStepper(AbstractStepper):
         qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
         if rows is None:
             self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
-        with naming_simulations():
+        with _naming_simulations():
             return _single(self._open().reset(qpos, qvel, fields, rows))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
-        with naming_simulations():
+        with _naming_simulations():
             return _single(self._open().step(control, abandoned=ended))
 
     def close(self) -> None:
@@ -132,7 +132,7 @@ def _single(readings: HostReadings) -> HostReadings:
 
 
 @contextmanager
-def naming_simulations() -> Iterator[None]:
+def _naming_simulations() -> Iterator[None]:
     """Turn an error of the engine into a `SimulationFailure`."""
     try:
         yield
