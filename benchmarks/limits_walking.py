@@ -18,7 +18,7 @@ from jaxtyping import Float
 from maesn.envs import find_family
 from maesn.envs.ant_v5 import GOAL_RADIUS, LARGEST_DISTANCE, SURVIVAL_BONUS
 from maesn.envs.walking import HORIZON
-from maesn.gym import TaskVectorEnv
+from maesn.gym import TaskEnv
 
 FAMILIES = ("cheetah_vel", "cheetah_dir", "cheetah_body", "ant_dir", "ant_goal", "sparse_ant_goal")
 GRID = 201  # places tried along each axis of the disc of goals
@@ -35,15 +35,17 @@ class Bounds(NamedTuple):
 def standing_return(name: str, tasks: str = "test") -> float:
     """Return the mean return of episodes without torques, one in each task of a set."""
     count = len(find_family(name).task_set(tasks))  # type: ignore[arg-type]
-    envs = TaskVectorEnv(name, count, task=np.arange(count), tasks=tasks)
-    envs.reset(seed=0)
-    total, running = np.zeros(count), np.ones(count, bool)
-    for _ in range(HORIZON):
-        _, reward, terminated, _, _ = envs.step(np.zeros(envs.action_space.shape, np.float32))
-        total += running * reward
-        running &= ~terminated
-    envs.close()
-    return float(total.mean())
+    env = TaskEnv(name, tasks=tasks)
+    total, still = 0.0, np.zeros(env.action_space.shape, np.float32)
+    for task in range(count):
+        env.reset(seed=task, options={"task": task})
+        ended = False
+        while not ended:
+            _, reward, terminated, truncated, _ = env.step(still)
+            total += reward
+            ended = terminated or truncated
+    env.close()
+    return total / count
 
 
 def bounds(name: str, tasks: np.ndarray) -> Bounds:

@@ -130,36 +130,3 @@ def test_fields_of_a_wrong_shape_or_value_are_refused() -> None:
         simulator.reset(*start(), {"body_mass": mass})
     with pytest.raises(ValueError, match="body_mass"):
         simulator.reset(*start(), {"body_mas": mass})
-
-
-@pytest.mark.parametrize("readings", [STATE, DERIVED])
-def test_some_simulations_can_be_reset_while_the_others_go_on(readings: tuple[str, ...]) -> None:
-    fields, _ = masses(load_model("wheeled"))
-    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS, readings)
-    heavy = play(simulator, model_fields=fields)
-    light = play(simulator)
-    again = np.array([2, 7])
-    simulator.reset(*start(), fields)
-    for control in controls()[:10]:
-        simulator.step(control)
-    # The two start anew with the model's own dynamics, the others are not disturbed.
-    qpos, qvel = start()
-    mixed = [simulator.reset(qpos[again], qvel[again], {}, again)]
-    later = controls()[10:]
-    later[:, again] = controls()[: len(later), again]
-    mixed += [simulator.step(control) for control in later]
-    goes_on = ~np.isin(np.arange(NUM_SIMULATIONS), again)
-    for step, got in enumerate(mixed):
-        for name, values in got.items():
-            np.testing.assert_array_equal(values[goes_on], heavy[10 + step][name][goes_on])
-            np.testing.assert_array_equal(values[again], light[step][name][again])
-
-
-def test_a_partial_reset_names_the_simulations_that_it_refuses() -> None:
-    simulator = NativeSimulator("wheeled", NUM_SIMULATIONS)
-    qpos, qvel = start()
-    qpos[1] = np.nan
-    with pytest.raises(PhysicsError, match="simulation 8: `qpos` must be finite"):
-        simulator.reset(qpos[:3], qvel[:3], simulations=np.array([0, 8, 9]))
-    with pytest.raises(ValueError, match=r"`qpos` must have the shape \(2, 6\), got \(2, 5\)"):
-        simulator.reset(qpos[:2, :5], qvel[:2], simulations=np.array([5, 8]))

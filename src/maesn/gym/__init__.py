@@ -1,7 +1,7 @@
 """The families of the library as Gymnasium environments: `maesn/Wheeled-v0` and so on.
 
 Importing this package registers them, which `gymnasium.make("maesn.gym:maesn/Wheeled-v0")` does by
-itself. `gymnasium.make_vec` of the same names plays many episodes at once on the batched engine.
+itself.
 """
 
 from importlib.util import find_spec
@@ -12,8 +12,6 @@ if find_spec("gymnasium") is None:
 import gymnasium
 
 from maesn.gym.env import TaskEnv as TaskEnv
-from maesn.gym.stepping import Stepper as Stepper
-from maesn.gym.vector import TaskVectorEnv as TaskVectorEnv
 
 IDS: dict[str, str] = {
     "wheeled": "maesn/Wheeled-v0",
@@ -33,9 +31,4 @@ IDS: dict[str, str] = {
 
 for _family, _id in IDS.items():
     if _id not in gymnasium.registry:
-        gymnasium.register(
-            _id,
-            entry_point="maesn.gym:TaskEnv",
-            vector_entry_point="maesn.gym:TaskVectorEnv",
-            kwargs={"family": _family},
-        )
+        gymnasium.register(_id, entry_point="maesn.gym:TaskEnv", kwargs={"family": _family})

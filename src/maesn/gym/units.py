@@ -9,8 +9,7 @@ from maesn.envs import AnyEnv
 from maesn.runs.probing import probe_actuators
 
 _ROUNDING = 1e-5  # of what is read off `control` in single precision
-Choices = Float[np.ndarray, " episode"]
-Actions = Float[np.ndarray, "episode action"]
+Actions = Float[np.ndarray, "*batch action"]
 
 
 def box_to_action(env: AnyEnv) -> Callable[[Actions], Actions]:
@@ -33,15 +32,12 @@ def box_to_action(env: AnyEnv) -> Callable[[Actions], Actions]:
     return lambda action: shift + factor * action
 
 
-def one_hot(env: AnyEnv) -> Callable[[Choices], Actions]:
-    """Return the map from the numbers of choices to the vectors that discrete actions are."""
-    table = np.eye(env.action_size, dtype=np.float32)
+def one_hot(size: int) -> Callable[[Float[np.ndarray, ""]], Float[np.ndarray, " action"]]:
+    """Return the map from the number of a choice to the vector that a discrete action is."""
 
-    def to_action(choice: Choices) -> Actions:
-        if not np.isin(choice, np.arange(env.action_size)).all():
-            raise ValueError(
-                f"`action` must be a choice from 0 to {env.action_size - 1}, got {choice.tolist()}."
-            )
-        return table[choice.astype(int)]
+    def to_action(choice: Float[np.ndarray, ""]) -> Float[np.ndarray, " action"]:
+        if choice not in range(size):
+            raise ValueError(f"`action` must be a choice from 0 to {size - 1}, got {choice}.")
+        return np.eye(size, dtype=np.float32)[int(choice)]
 
     return to_action

@@ -14,9 +14,6 @@ Readings: TypeAlias = dict[str, Float64[np.ndarray, "simulation ..."]]
 # Values of fields of `mujoco.MjModel` by name, one row for each simulation.
 ModelFields: TypeAlias = Mapping[str, Shaped[np.ndarray, "simulation ..."]]
 
-# Which simulations rows belong to: indices, or all.
-Rows: TypeAlias = slice | np.ndarray
-
 # What a step leaves current. Everything else MuJoCo derives at the beginning of a step, so that it
 # describes the state one substep earlier unless it is computed again.
 CURRENT = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
@@ -65,18 +62,14 @@ def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
     return source, field
 
 
-def check_rows(name: str, values: np.ndarray, whole: np.ndarray, rows: Rows = slice(None)) -> None:
-    """Refuse values of a wrong shape, and numbers that MuJoCo would silently replace.
-
-    `whole` is an array like the values for all simulations; they are of the simulations `rows`.
-    """
-    shape = whole[rows].shape
-    if values.shape != shape:
-        raise ValueError(f"`{name}` must have the shape {shape}, got {values.shape}")
+def check_rows(name: str, values: np.ndarray, present: np.ndarray) -> None:
+    """Refuse values of another shape, and numbers that MuJoCo would silently replace."""
+    if values.shape != present.shape:
+        raise ValueError(f"`{name}` must have the shape {present.shape}, got {values.shape}")
     if not is_sound(values):
         failed = np.flatnonzero(~sound_rows(values))
         raise PhysicsError(
-            np.arange(whole.shape[0])[rows][failed].tolist(),
+            failed.tolist(),
             f"`{name}` must be finite and below {LARGEST:.0e} in size, got {values[failed[0]]}: "
             "look for what computed it, because MuJoCo would go on without it",
         )

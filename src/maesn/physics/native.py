@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from maesn.physics.base import (
     CURRENT,
@@ -16,7 +16,6 @@ from maesn.physics.base import (
     ModelFields,
     PhysicsError,
     Readings,
-    Rows,
     check_rows,
     find_field,
     is_sound,
@@ -86,35 +85,30 @@ class NativeSimulator:
 
     def reset(
         self,
-        qpos: Float[np.ndarray, "row qpos"],
-        qvel: Float[np.ndarray, "row qvel"],
+        qpos: Float[np.ndarray, "simulation qpos"],
+        qvel: Float[np.ndarray, "simulation qvel"],
         model_fields: ModelFields | None = None,
-        simulations: Int[np.ndarray, " row"] | None = None,
     ) -> Readings:
-        """Put simulations into a state, as if they had just been made, and return all readings.
+        """Put all simulations into a state, as if they had just been made; return the readings.
 
         Args:
             qpos: generalised positions.
             qvel: generalised velocities.
             model_fields: dynamics that differ between simulations. Fields that are not named have
                 the model's own values, whatever an earlier reset gave them.
-            simulations: indices, ascending, of those that are reset and that the rows belong to;
-                None for all. The others stay where they are.
 
         Raises:
             PhysicsError: a state or a field is not finite.
         """
-        batch, rows = self._open(), slice(None) if simulations is None else simulations
-        check_rows("qpos", qpos, self._qpos, rows)
-        check_rows("qvel", qvel, self._qvel, rows)
-        batch.reset(simulations, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._write_model_fields(model_fields or {}, rows)
-        self._qpos[rows] = qpos
-        self._qvel[rows] = qvel
+        batch = self._open()
+        check_rows("qpos", qpos, self._qpos)
+        check_rows("qvel", qvel, self._qvel)
+        batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._write_model_fields(model_fields or {})
+        self._qpos[...] = qpos
+        self._qvel[...] = qvel
         if self._derives:
-            others = np.ones(self._num_simulations, bool)
-            others[rows] = False
-            self._run(batch.forward, others, ids=simulations)
+            self._run(batch.forward)
         return self._read()
 
     def step(
@@ -186,14 +180,14 @@ class NativeSimulator:
         # The engine's arrays are live: the next step writes over them.
         return {name: np.array(value, np.float64) for name, value in self._readings.items()}
 
-    def _write_model_fields(self, fields: ModelFields, rows: Rows) -> None:
+    def _write_model_fields(self, fields: ModelFields) -> None:
         """Give simulations their own dynamics, and the model's own to fields not named."""
         for name in self._expanded - fields.keys():
-            self._batch.expand(name)[rows] = getattr(*find_field(self._model, name))
+            self._batch.expand(name)[...] = getattr(*find_field(self._model, name))
         for name, value in fields.items():
             expanded = self._batch.expand(name)
-            check_rows(name, value, expanded, rows)
-            expanded[rows] = value
+            check_rows(name, value, expanded)
+            expanded[...] = value
         if fields or self._expanded:
             # Inertia weights and the like follow from the fields: the solver reads those.
             self._run(self._batch.set_const)

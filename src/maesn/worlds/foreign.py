@@ -17,7 +17,7 @@ from maesn.foreign import WorkerError, WorkerPool, pack_task
 from maesn.physics import offscreen_library
 from maesn.worlds.base import EnvContractError, SimulationFailure
 from maesn.worlds.budget import num_cpus
-from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Renderer, Rows
+from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Renderer
 
 logger = logging.getLogger(__name__)
 
@@ -39,11 +39,7 @@ class HostedStepper(AbstractStepper):
         """Process ids of the workers that have been started."""
         return [] if self._pool is None else self._pool.process_ids
 
-    def begin(
-        self, start: UInt32[Array | np.ndarray, " simulation"], tasks: Any, rows: Rows | None = None
-    ) -> HostReadings:
-        """`rows` must be None: all episodes begin together."""
-        assert rows is None
+    def begin(self, start: UInt32[Array | np.ndarray, " simulation"], tasks: Any) -> HostReadings:
         host = jax.device_get(tasks)
         packed = [pack_task(task_row(host, i)) for i in range(len(jax.tree.leaves(host)[0]))]
         each = len(start) // len(packed)

@@ -1,6 +1,6 @@
 """The one step machine: whatever moves episodes outside of compiled programs, a step at a time.
 
-A host world plays whole episodes with it, and the Gymnasium faces of the library step it from
+A host world plays whole episodes with it, and the library's Gymnasium environments step it from
 outside. What differs between MuJoCo, JAX and environments of others is hidden here.
 """
 
@@ -12,14 +12,13 @@ from typing import Any, TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, UInt8
 
 from maesn.axes import HostReadings
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, Start
 from maesn.physics import NativeSimulator, PhysicsError
 from maesn.worlds.base import SimulationFailure
 
-Rows: TypeAlias = Int[np.ndarray, " row"]
 Controls: TypeAlias = Float[np.ndarray, "simulation control"]
 Ended: TypeAlias = Bool[np.ndarray, " simulation"]
 Renderer: TypeAlias = Callable[[int], list[UInt8[np.ndarray, "height width 3"]]]
@@ -35,15 +34,13 @@ class AbstractStepper(ABC):
     """Largest number of them; None for any number."""
 
     @abstractmethod
-    def begin(self, start: Any, tasks: Any, rows: Rows | None = None) -> HostReadings:
-        """Begin episodes.
+    def begin(self, start: Any, tasks: Any) -> HostReadings:
+        """Begin episodes, as many as there are starts.
 
         Args:
             start: the starts that `env.start` returns, stacked over `simulation`.
             tasks: the tasks, stacked. Each is played by as many simulations, those of one task
-                next to each other.
-            rows: indices, ascending, of the simulations that begin anew; the others stay where they
-                are. None for all, as many as there are starts.
+                next to each other. Only environments of others ask for them.
 
         Returns:
             The readings of all simulations, in single precision.
@@ -91,16 +88,17 @@ class NativeStepper(AbstractStepper):
         self._simulators: dict[int, NativeSimulator] = {}
         self._current: NativeSimulator | None = None
 
-    def begin(self, start: Start, tasks: Any, rows: Rows | None = None) -> HostReadings:
+    def begin(self, start: Start, tasks: Any) -> HostReadings:
         qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
-        if rows is None:
-            self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
+        self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
         with _naming_simulations():
-            return _single(self._open().reset(qpos, qvel, fields, rows))
+            return _single(self._current.reset(qpos, qvel, fields))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
+        if self._current is None:
+            raise RuntimeError(_CLOSED)
         with _naming_simulations():
-            return _single(self._open().step(control, abandoned=ended))
+            return _single(self._current.step(control, abandoned=ended))
 
     def close(self) -> None:
         for simulator in self._simulators.values():
@@ -118,11 +116,6 @@ class NativeStepper(AbstractStepper):
             nonfinite=env.nonfinite,
         )
         return self._simulators[num_simulations]
-
-    def _open(self) -> NativeSimulator:
-        if self._current is None:
-            raise RuntimeError(_CLOSED)
-        return self._current
 
 
 def _single(readings: HostReadings) -> HostReadings:
@@ -147,20 +140,15 @@ class DeviceStepper(AbstractStepper):
         self._env = env
         self._state: dict[str, np.ndarray] = {}
 
-    def begin(self, start: Start, tasks: Any, rows: Rows | None = None) -> HostReadings:
+    def begin(self, start: Start, tasks: Any) -> HostReadings:
         if start.model_fields:
             raise ValueError(
                 f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
                 f"got {', '.join(start.model_fields)}: move the dynamics into `advance`"
             )
-        if rows is not None and not self._state:
-            raise RuntimeError(_CLOSED)
-        for name, values in (("qpos", start.qpos), ("qvel", start.qvel)):
-            if rows is None:
-                self._state[name] = np.array(values, np.float32)
-            else:
-                self._state[name][rows] = values
-        return {name: value.copy() for name, value in self._state.items()}
+        readings = {"qpos": start.qpos, "qvel": start.qvel}
+        self._state = {name: np.array(value, np.float32) for name, value in readings.items()}
+        return self._state
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
         if not self._state:
@@ -170,7 +158,7 @@ class DeviceStepper(AbstractStepper):
             raise SimulationFailure(int(np.argmax(bad)), 0, "the control is not finite")
         moved = _advance(self._env, self._state, control.astype(np.float32))
         self._state = {name: np.array(value) for name, value in moved.items()}
-        return {name: value.copy() for name, value in self._state.items()}
+        return self._state
 
     def close(self) -> None:
         self._state = {}
