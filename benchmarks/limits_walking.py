@@ -18,7 +18,10 @@ from jaxtyping import Float
 from maesn.envs import find_family
 from maesn.envs.ant_v5 import GOAL_RADIUS, LARGEST_DISTANCE, SURVIVAL_BONUS
 from maesn.envs.walking import HORIZON
-from maesn.gym import TaskEnv
+from maesn.evaluation.evaluate import adapt
+from maesn.learners import baselines
+from maesn.worlds import make_world
+from maesn.worlds.collector import Collector
 
 FAMILIES = ("cheetah_vel", "cheetah_dir", "cheetah_body", "ant_dir", "ant_goal", "sparse_ant_goal")
 GRID = 201  # places tried along each axis of the disc of goals
@@ -34,18 +37,11 @@ class Bounds(NamedTuple):
 
 def standing_return(name: str, tasks: str = "test") -> float:
     """Return the mean return of episodes without torques, one in each task of a set."""
-    count = len(find_family(name).task_set(tasks))  # type: ignore[arg-type]
-    env = TaskEnv(name, tasks=tasks)
-    total, still = 0.0, np.zeros(env.action_space.shape, np.float32)
-    for task in range(count):
-        env.reset(seed=task, options={"task": task})
-        ended = False
-        while not ended:
-            _, reward, terminated, truncated, _ = env.step(still)
-            total += reward
-            ended = terminated or truncated
-    env.close()
-    return total / count
+    family = find_family(name)
+    env = family.make_env()
+    still = baselines(env.observation_size, env.action_size, env.action_kind)["zero action"]
+    collect = Collector(make_world(env, family.task_set(tasks)), 1)  # type: ignore[arg-type]
+    return float(adapt(still, collect, episodes=0).curves.mean_return.mean())
 
 
 def bounds(name: str, tasks: np.ndarray) -> Bounds:

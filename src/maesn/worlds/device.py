@@ -35,7 +35,7 @@ def _scan(env: AbstractPureEnv[Any], act: Act, actors: Actors, first: Readings) 
     batch = actors.z.shape[:2]
     no_action, no_end = jnp.zeros((*batch, env.action_size)), jnp.zeros(batch, bool)
 
-    def step(moment: Moment, _: None) -> tuple[Moment, tuple[Readings, Decision]]:
+    def step(moment: Any, _: None) -> tuple[Moment, tuple[Readings, Decision]]:
         decision = act(actors, moment)
         readings = jax.vmap(env.advance)(moment.readings, jnp.asarray(decision.control))
         following = Moment(
