@@ -4,7 +4,6 @@ Worker processes import this file, so it imports no JAX: they start in a fractio
 """
 
 import ctypes
-import itertools
 import os
 import subprocess
 import sys
@@ -96,27 +95,14 @@ class Plain(gymnasium.Env[Any, Any]):
 
 
 class Skip(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Repeats every action, as often as it is told."""
+    """Repeats every action."""
 
-    def __init__(self, env: Any, *counts: int) -> None:
+    def __init__(self, env: Any, count: int) -> None:
         super().__init__(env)
-        self.counts = itertools.cycle(counts)
+        self.count = count
 
     def step(self, action: Any) -> Any:
-        return [self.env.step(action) for _ in range(next(self.counts))][-1]
-
-
-class Wide(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Takes actions up to 2, and passes on `share` of them."""
-
-    action_space = spaces.Box(-2.0, 2.0, (2,))
-
-    def __init__(self, env: Any, share: float) -> None:
-        super().__init__(env)
-        self.share = share
-
-    def step(self, action: Any) -> Any:
-        return self.env.step(self.share * action)
+        return [self.env.step(action) for _ in range(self.count)][-1]
 
 
 class Arm(gymnasium.Env[Any, Any]):
@@ -320,16 +306,5 @@ class Stuck(Settable):
         raise ValueError("the gears are stuck" + "!" * 10_000_000)
 
 
-class Whimsical(Settable):
-    """Starts wherever it likes."""
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        return super().reset(seed=None)
-
-
 def make_stuck(task: np.ndarray, reward: str) -> Stuck:
     return Stuck(task)
-
-
-def make_whimsical(task: np.ndarray, reward: str) -> Whimsical:
-    return Whimsical(task)

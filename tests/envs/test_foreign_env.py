@@ -25,7 +25,6 @@ from strangers import (
     Diarist,
     Plain,
     Skip,
-    Wide,
     draw_walks,
     make_hopeless,
     make_walker,
@@ -62,8 +61,7 @@ LIMITS = [[-0.2, -0.4], [0.2, 0.8]]
 # What is made of the arm -> limits, period, and steps of an episode; 7 if there is no clock.
 SEEN: dict[str, tuple[Any, Any, float, int]] = {
     "itself": (lambda arm: arm, LIMITS, 0.05, 7),
-    "a frame skip": (lambda arm: Skip(TimeLimit(arm, 10), 4), LIMITS, 0.2, 3),
-    "a clock around a frame skip": (lambda arm: TimeLimit(Skip(arm, 2), 10), LIMITS, 0.1, 10),
+    "a frame skip": (lambda arm: TimeLimit(Skip(arm, 4), 10), LIMITS, 0.2, 10),
     "clipped": (lambda arm: TimeLimit(ClipAction(arm), 10), LIMITS, 0.05, 10),
     "rescaled": (
         lambda arm: TimeLimit(RescaleAction(arm, np.float32(-1), np.float32(1)), 10),
@@ -71,9 +69,6 @@ SEEN: dict[str, tuple[Any, Any, float, int]] = {
         0.05,
         10,
     ),
-    "wider than itself": (lambda arm: TimeLimit(Wide(arm, 1), 10), LIMITS, 0.05, 10),
-    "scaled by a wrapper": (lambda arm: Wide(arm, 0.1), [[-2, -2], [2, 2]], 0.05, 7),
-    "twice as strong": (lambda arm: Wide(arm, 2), [[-0.1, -0.2], [0.1, 0.4]], 0.05, 7),
 }
 
 
@@ -91,7 +86,6 @@ def test_limits_and_times_are_those_under_which_a_policy_is_trained(how: str) ->
 UNKNOWN = {
     "it has neither `dt` nor `render_fps`": lambda: Arm(None, None),
     "its `dt` is 0.01 s, but its `metadata` shows 20 steps a second": lambda: Arm(0.01, 20),
-    "its wrappers may repeat actions, more or less often": lambda: Skip(Arm(0.05, 20), 1, 2),
 }
 
 
@@ -108,12 +102,6 @@ def test_a_period_that_cannot_be_derived_is_asked_for(reason: str) -> None:
 )
 def test_a_rounded_rate_does_not_blur_a_period(arm: Arm, period: float) -> None:
     assert family_of(arm, horizon=3).make_env().control_period == pytest.approx(period)
-
-
-def test_limits_that_cannot_be_known_are_refused() -> None:
-    wrapped = TransformAction(Arm(0.05, 20), lambda action: action**3, spaces.Box(-2, 2, (2,)))
-    with pytest.raises(InterfaceError, match=r"the limits of an action cannot be known.*Rescale"):
-        family_of(wrapped, horizon=3).make_env()
 
 
 def test_tasks_of_one_situation_share_episodes_if_the_reward_is_known() -> None:

@@ -26,7 +26,6 @@ from strangers import (
     make_hopeless,
     make_settable,
     make_stuck,
-    make_whimsical,
 )
 
 from maesn import cli
@@ -246,15 +245,11 @@ def checked(make_env: Callable[[np.ndarray, str], object]) -> None:
     check_env_contract(env, rows()[0])
 
 
-def test_an_environment_is_stepped_before_training_starts(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_environment_is_stepped_before_training_starts() -> None:
     checked(make_settable)
-    assert not caplog.records
     reason = r"`stranger`, task 0: `step` raised ValueError: the gears are stuck"
     with pytest.raises(EnvContractError, match=reason) as error:
         checked(make_stuck)
     assert len(str(error.value)) < 1500  # of a message of ten million characters
     (note,) = error.value.__cause__.__notes__  # type: ignore[union-attr]
     assert note.index("in step") < note.index("in turn_gears") < note.index("raise ValueError(")
-    # Its starts do not follow from the seed: Gymnasium's own check finds that.
-    checked(make_whimsical)
-    assert "`stranger`: training can go on, but Gymnasium's `check_env` finds: " in caplog.text

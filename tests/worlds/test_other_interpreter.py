@@ -143,7 +143,7 @@ def test_an_interpreter_that_cannot_do_it_is_named(
     with hosted_in(sys.executable), pytest.raises(InterfaceError, match="must be its"):
         sent.make_env()
     monkeypatch.setattr("maesn.foreign.process.PROTOCOL", 0)
-    with pytest.raises(InterfaceError, match="speaks version 0 of the protocol, this file 1"):
+    with pytest.raises(InterfaceError, match="speaks version 0 of the protocol, this file 2"):
         family.make_env()
 
 

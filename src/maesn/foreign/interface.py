@@ -1,20 +1,11 @@
 """The interface of an environment, the same for every task of a family: its spaces and times."""
 
-import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 # Largest range of an action. Wider bounds are just the largest numbers of their type.
 _LARGEST_WIDTH = 1e30
-# An action far outside of every range: what arrives of it inside of a wrapper is a limit.
-_FAR = 1e6
-_TOLERANCE = 1e-5  # of a range; wrappers compute in single precision
-
-Arrivals = Callable[[Float[np.ndarray, "control component"]], Any]
-"""Sends controls through the wrappers, as `maesn.foreign.worker` describes it."""
 
 
 class InterfaceError(ValueError):
@@ -29,7 +20,7 @@ class Interface(NamedTuple):
     discrete: bool
     """Whether a control is a choice, as a one-hot vector."""
     lower: tuple[float, ...]
-    """Limits of the control, flattened, the tightest of all wrappers; 0 for each choice."""
+    """Limits of the control, flattened; 0 for each choice."""
     upper: tuple[float, ...]
     """As `lower`; 1 for each choice."""
     max_episode_steps: int | None
@@ -50,11 +41,10 @@ class Interface(NamedTuple):
         return tuple(self.spaces["observation"][1])
 
 
-def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
+def derive(facts: dict[str, Any]) -> Interface:
     """Return what an environment looks like from outside, from the facts that it says of itself.
 
-    It is asked for arrivals only if there are wrappers. InterfaceError says that actions are
-    neither bounded vectors nor choices.
+    InterfaceError says that actions are neither bounded vectors nor choices.
     """
     kind, *bounds = facts["spaces"]["action"]
     if kind not in ("Box", "Discrete"):
@@ -62,19 +52,15 @@ def derive(facts: dict[str, Any], arrivals: Arrivals) -> Interface:
             "the action space must be a bounded `Box` of floating-point numbers or `Discrete`, "
             f"got {kind}: wrap the environment in one that maps such actions to its own."
         )
-    limits, steps, repeats = np.array(bounds), facts["max_episode_steps"], 1
-    if facts["inner_action"] is not None:
-        ends = np.clip(limits, -_FAR, _FAR)
-        found, clocks = arrivals(np.stack([ends.mean(axis=0), *ends]))
-        if found and kind == "Box" and facts["inner_action"][0] == "Box":
-            limits = _tightened(limits, np.array(facts["inner_action"][1:]), found, arrivals)
-        counts = {len(calls) for calls in found}
-        repeats = counts.pop() if len(counts) == 1 else 0
-        steps = min(map(math.ceil, clocks), default=steps)
+    limits = np.array(bounds)
+    inner = np.array(facts["inner_action"][1:])
+    if inner.shape == limits.shape:  # `ClipAction` takes any action, and clips it to these
+        limits = np.where(np.isinf(limits), inner, limits)
     for index, (low, high) in enumerate(limits.T.tolist()):
         _check_bounds(index, low, high)
-    period, doubt = _control_period(facts["dt"], facts["rates"], repeats)
+    period, doubt = _control_period(facts["dt"], facts["rates"], facts["repeats"])
     lower, upper = map(tuple, limits.tolist())
+    steps = facts["max_episode_steps"]
     return Interface(facts["spaces"], kind == "Discrete", lower, upper, steps, period, doubt)
 
 
@@ -93,49 +79,14 @@ def _check_bounds(index: int, low: float, high: float) -> None:
         )
 
 
-def _tightened(
-    limits: np.ndarray, inner: np.ndarray, found: list[np.ndarray], arrivals: Arrivals
-) -> np.ndarray:
-    """Return limits between which the innermost environment gets actions within its own space.
-
-    Some wrappers take any action and clip it (`ClipAction`), some have a wider space than what they
-    wrap. Others map one space to the other (`RescaleAction`), and need nothing here. Limits are
-    `[2, component]`; `found` is what arrived of the middle and of both ends.
-    """
-    middle, *reached = (calls[0] for calls in found)
-    if middle.shape != limits[0].shape:
-        return limits
-    goal, ends = np.clip(reached, *inner), np.clip(limits, -_FAR, _FAR)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        excess = np.abs(goal - reached) > _TOLERANCE * (inner[1] - inner[0])
-        centre = ends.mean(axis=0)
-        share = (goal - middle) / (np.array(reached) - middle)
-        shorter = np.where(excess, centre + share * (ends - centre), limits)
-    # Without bounds, what arrives is the limit, if it passes unchanged.
-    shorter = np.where(np.isinf(limits) & (np.abs(goal) < _FAR), goal, shorter)
-    if (shorter == limits).all() or not np.isfinite(shorter).all():
-        return shorter
-    again = np.array([calls[0] for calls in arrivals(shorter)[0]])
-    if np.allclose(again, goal, atol=float(_TOLERANCE * np.ptp(shorter, axis=0).max())):
-        return shorter
-    raise InterfaceError(
-        f"the limits of an action cannot be known: actions from {limits[0]} to {limits[1]} reach "
-        f"the innermost environment as {reached[0]} to {reached[1]}, but its own action space is "
-        f"from {inner[0]} to {inner[1]}. Wrap the environment in `gymnasium.wrappers.RescaleAction`"
-        " or in another whose action space has the limits."
-    )
-
-
 def _control_period(
     dt: float | None, rates: list[float | None], repeats: int
 ) -> tuple[float | None, str]:
     """Return the seconds between two steps of the outermost environment, or None and why.
 
     The innermost one has steps of `dt` seconds, as Gymnasium's MuJoCo environments do; `repeats` of
-    them make one, 0 if that varies. Both show rounded rates of pictures, one for each step.
+    them make one. Both show rounded rates of pictures, one for each step.
     """
-    if not repeats:
-        return None, "its wrappers may repeat actions, more or less often"
     inner_rate, rate = rates
     one = dt or (1 / inner_rate if inner_rate else None)
     if one is None:

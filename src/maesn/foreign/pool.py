@@ -22,7 +22,7 @@ from jaxtyping import Float, UInt8
 from maesn.foreign.guard import Guard
 from maesn.foreign.interface import Interface, derive
 from maesn.foreign.process import GRACE, Worker, WorkerError
-from maesn.foreign.worker import described, packed, unpacked
+from maesn.foreign.worker import described, unpacked
 from maesn.storage import RunError
 
 # What is read of every environment, one row each. All but the observation are single numbers.
@@ -76,17 +76,7 @@ class WorkerPool:
 
     def describe(self, task: bytes) -> Interface:
         """Return the interface of the environment of a task, or raise InterfaceError."""
-
-        def arrivals(controls: np.ndarray) -> tuple[list[np.ndarray], list[float]]:
-            found, clocks = self._first("probe", task, packed(controls))
-            return list(map(unpacked, found)), clocks
-
-        return derive(self._first("facts", task), arrivals)
-
-    def complaint(self, task: bytes) -> str | None:
-        """Return the complaint of Gymnasium's own check about a task's environment, if any."""
-        answer: str | None = self._first("complaint", task)
-        return answer
+        return derive(self._first("facts", task))
 
     def renders(self, task: bytes) -> bool:
         """Return whether the environment of a task draws itself."""

@@ -8,8 +8,6 @@ It ends when its connection is closed; if an environment hangs then, `maesn.fore
 """
 
 import contextlib
-import copy
-import inspect
 import json
 import mmap
 import os
@@ -18,7 +16,6 @@ import signal
 import struct
 import sys
 import traceback
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib import import_module
@@ -32,7 +29,7 @@ if sys.version_info < (3, 10):  # noqa: UP036  # of the environments' interprete
     sys.exit(f"environments need Python 3.10 or later, this is {sys.version.split()[0]}")
 
 # Changes whenever a request or an answer does.
-PROTOCOL = 1
+PROTOCOL = 2
 # Before each call of an environment, the worker writes the number of calls so far and the
 # environment's index to shared memory. So the pool can tell which environment hangs.
 MARK = struct.Struct("=Qq")
@@ -40,9 +37,6 @@ MARK = struct.Struct("=Qq")
 _SUCCESS = ("is_success", "success")
 # Most characters of a message that are shown: a user's may have millions.
 _LONGEST = 1000
-# Calls that are shown at each end of a traceback.
-_CALLS = 6
-
 
 Flattener = tuple[Callable[[Any], np.ndarray], str, list[str]]
 
@@ -74,51 +68,37 @@ class HostedEnvironment:
         """Return what the environment of a task says of itself."""
         env = self._with_task(task)
         inner = _unwrapped(env)
+        clocks = [vars(one).get("_max_episode_steps") for one in _layers(env)]  # `TimeLimit`
+        clocks.append(getattr(getattr(env, "spec", None), "max_episode_steps", None))
         return {
             "spaces": self._spaces,
-            "inner_action": None if inner is env else _action_layout(inner.action_space),
-            "max_episode_steps": getattr(getattr(env, "spec", None), "max_episode_steps", None),
+            "inner_action": _action_layout(inner.action_space),
+            "max_episode_steps": min((steps for steps in clocks if steps), default=None),
             "dt": _number(getattr(inner, "dt", None)),
             "rates": [_number(one.metadata.get("render_fps")) for one in (inner, env)],
+            "repeats": 1 if inner is env else self._count_steps(env, inner),
         }
 
-    def probe(self, task: bytes, controls: Any) -> tuple[list[Any], list[float]]:
-        """Return what becomes of controls, `[control, component]`, on their way inside.
-
-        The innermost environment plays the first one, and then repeats its answer.
-
-        Returns:
-            For each control, the actions that arrive at the innermost environment, `[call, action]`
-            packed; and the steps of an episode that each clock in between (`TimeLimit`) allows.
-            Nothing if that cannot be seen.
-        """
-        env = self._with_task(task)
-        inner = _unwrapped(env)
-        original, answers, arrived, found = inner.step, [], [], []  # type: ignore[var-annotated]
+    def _count_steps(self, env: Any, inner: Any) -> int:
+        """Return how many steps of the innermost environment one step makes; 1 if unseen."""
+        original, count = inner.step, 0
 
         def step(action: Any) -> Any:
-            arrived.append(np.array(action, np.float64).ravel())
-            if not answers:
-                observation, reward, *_, info = original(action)
-                answers.append((observation, reward, False, False, info))
-            return copy.deepcopy(answers[0])
+            nonlocal count
+            count += 1
+            return original(action)
 
         try:
             inner.step = step
         except AttributeError:  # nobody can look on
-            return [], []
+            return 1
         try:
             _ask("reset", lambda: env.reset(seed=0))
-            for control in unpacked(controls):
-                _ask("step", partial(env.step, _action(self._action_space, control)))
-                found.append(packed(np.array(arrived)))
-                arrived.clear()
+            still = np.zeros(len(_action_layout(self._action_space)[1]))
+            _ask("step", lambda: env.step(_action(self._action_space, still)))
         finally:
             del inner.step
-        # `TimeLimit` has no public names for these two.
-        clocks = [vars(one) for one in _layers(env) if vars(one).get("_elapsed_steps")]
-        lengths = [len(found) * one["_max_episode_steps"] / one["_elapsed_steps"] for one in clocks]
-        return found, lengths
+        return count
 
     def begin(self, task: bytes, seed: int) -> np.ndarray:
         """Begin an episode, and return its first reading."""
@@ -143,26 +123,6 @@ class HostedEnvironment:
                 f"{result!r}"
             )
         return self._read(*result)
-
-    def complaint(self, task: bytes) -> str | None:
-        """Return the complaint of Gymnasium's own check; None if there is none.
-
-        The check plays some steps. It demands more than is needed here: exact types and bounds, and
-        the same episode for the same seed.
-        """
-        env = self._with_task(task)
-        checker = sys.modules.get("gymnasium") and import_module("gymnasium.utils.env_checker")
-        if not checker:  # the environment only looks like one of Gymnasium's
-            return None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                known = inspect.signature(checker.check_env).parameters  # differs by version
-                left_out = known.keys() & {"skip_render_check", "skip_close_check"}
-                checker.check_env(env, **dict.fromkeys(left_out, True))
-        except Exception as error:  # noqa: BLE001  # of a user's code, or the check's
-            return described(error)
-        return None
 
     def renders(self, task: bytes) -> bool:
         """Return whether the environment of a task draws itself."""
@@ -409,8 +369,6 @@ def _user_traceback(error: BaseException | None) -> str:
     """Return the traceback of an error within a user's code; an empty text without an error."""
     calls = traceback.extract_tb(error.__traceback__) if error else []
     lines = traceback.format_list([call for call in calls if call.filename != __file__])
-    if len(lines) > 2 * _CALLS:
-        lines[_CALLS:-_CALLS] = [f"  ... ({len(lines) - 2 * _CALLS} calls left out)\n"]
     return _shortened("".join(lines), 4 * _LONGEST)
 
 

@@ -37,8 +37,7 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
 
     Readings and model fields that MuJoCo does not have are refused as well, and a control period
     that is not the model's. JAX works out the shapes; no episode is played. What a function raises
-    is passed on. Environments of others are begun and stepped once; what Gymnasium's own check
-    finds beyond that is a warning.
+    is passed on. Environments of others are begun and stepped once.
 
     Raises:
         EnvContractError: a function returns another shape, there is no field of a name, or

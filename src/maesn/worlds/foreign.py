@@ -1,7 +1,6 @@
 """Steps environments of others, which run in processes of their own."""
 
 import contextlib
-import logging
 import weakref
 from collections.abc import Iterator
 from typing import Any
@@ -18,8 +17,6 @@ from maesn.physics import offscreen_library
 from maesn.worlds.base import EnvContractError, SimulationFailure
 from maesn.worlds.budget import num_cpus
 from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Renderer
-
-logger = logging.getLogger(__name__)
 
 
 class HostedStepper(AbstractStepper):
@@ -79,7 +76,7 @@ class HostedStepper(AbstractStepper):
 
 
 def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
-    """Begin and step an environment once; what Gymnasium finds beyond that is a warning.
+    """Begin and step an environment once.
 
     Raises:
         EnvContractError: it fails, or returns what cannot be used.
@@ -94,14 +91,6 @@ def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:
             raise EnvContractError(f"`{env.name}`, task 0: {error.reason}") from error
         if env.recipe.reward is not None:
             _check_reward(env, first, after, row)
-        try:
-            complaint = pool.complaint(pack_task(row))
-        except WorkerError as error:
-            complaint = error.reason
-    if complaint is not None:
-        logger.warning(
-            f"`{env.name}`: training can go on, but Gymnasium's `check_env` finds: {complaint}"
-        )
 
 
 def _check_reward(
