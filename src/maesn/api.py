@@ -30,7 +30,6 @@ from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import played_live, run_prior
 from maesn.storage import RunError, check_writable
-from maesn.worlds.budget import warn_of_duration
 
 
 def train(
@@ -133,8 +132,6 @@ def adapt(
         EpisodeError: an episode went wrong.
     """
     asked, opened = evaluation.changed(**settings), running.open_run(run, family, method)
-    num_tasks = asked.count(opened.task_set(asked.tasks))
-    warn_of_duration(opened.env(), num_tasks * asked.budget.episodes)
     table = Path(out) if out else running.adaptation_file(opened.directory, asked)
     check_writable(table)
     return running.write_outcome(table, *running.evaluate(opened, asked))

@@ -142,8 +142,8 @@ def _commands(error: Exception, arguments: list[str]) -> list[str]:
 
 
 def _is_mistake(error: Exception) -> bool:
-    from maesn.physics import EngineError, RenderingError
+    from maesn.physics import RenderingError
     from maesn.storage import RunError
     from maesn.worlds import EpisodeError
 
-    return isinstance(error, RunError | EngineError | RenderingError | EpisodeError | OSError)
+    return isinstance(error, RunError | RenderingError | EpisodeError | OSError)

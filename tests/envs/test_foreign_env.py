@@ -61,7 +61,8 @@ LIMITS = [[-0.2, -0.4], [0.2, 0.8]]
 # What is made of the arm -> limits, period, and steps of an episode; 7 if there is no clock.
 SEEN: dict[str, tuple[Any, Any, float, int]] = {
     "itself": (lambda arm: arm, LIMITS, 0.05, 7),
-    "a frame skip": (lambda arm: TimeLimit(Skip(arm, 4), 10), LIMITS, 0.2, 10),
+    "a frame skip": (lambda arm: Skip(TimeLimit(arm, 10), 4), LIMITS, 0.2, 3),
+    "a clock around a frame skip": (lambda arm: TimeLimit(Skip(arm, 2), 10), LIMITS, 0.1, 10),
     "clipped": (lambda arm: TimeLimit(ClipAction(arm), 10), LIMITS, 0.05, 10),
     "rescaled": (
         lambda arm: TimeLimit(RescaleAction(arm, np.float32(-1), np.float32(1)), 10),

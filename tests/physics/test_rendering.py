@@ -163,7 +163,7 @@ def test_a_wrong_variable_does_not_stop_the_physics() -> None:
     """MuJoCo itself cannot even be imported then."""
     program = (
         "from maesn.physics import NativeSimulator, Renderer, RenderingError, View\n"
-        "print(NativeSimulator('wheeled', 1).num_simulations)\n"
+        "print(NativeSimulator('wheeled', 1)._num_simulations)\n"
         "try:\n    Renderer('wheeled', View((0.0, 0.0), (1.0, 1.0)))\n"
         "except RenderingError as error:\n    print(error)"
     )

@@ -42,7 +42,6 @@ def test_the_robot_moves_as_the_library_s(example: ModuleType) -> None:
         readings = simulator.step(torque[None])
         expected = np.concatenate([readings["qpos"][0], readings["qvel"][0]])
         np.testing.assert_array_equal(robot.observation(), expected)
-    simulator.close()
 
 
 def test_the_rewards_are_the_library_s(example: ModuleType) -> None:

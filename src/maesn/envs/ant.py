@@ -114,9 +114,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
     def reward(
         self, readings: Readings, action: Action, next_readings: Readings, task: Goal
     ) -> Reward:
-        # A state that blew up has no reward: the last sound one counts instead.
-        alive = is_sound(next_readings)
-        seen = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
+        seen = last_sound(readings, next_readings)
         goal = self._goal_reward(seen, task)
         if self.variant == "paper":
             return Reward(goal, jnp.zeros(()))
@@ -181,6 +179,12 @@ def is_sound(readings: Readings) -> Bool[Array, ""]:
     """Whether the state is finite and of a size that the engine can go on from."""
     state = jnp.concatenate([readings["qpos"], readings["qvel"]])
     return jnp.all(jnp.abs(state) <= LARGEST)  # false of NaN as well
+
+
+def last_sound(readings: Readings, next_readings: Readings) -> Readings:
+    """Return the state after a step, or the one before if it blew up: that has no reward."""
+    alive = is_sound(next_readings)
+    return jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
 
 
 ant = half_circle_family("ant", Ant, GOAL_RADIUS, seed=2019)

@@ -29,13 +29,12 @@ episode; the sources' engine silently reset such a state.
 
 from typing import ClassVar, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Action, Readings
-from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound
+from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound, last_sound
 from maesn.envs.base import RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
 from maesn.envs.tasks import TaskFamily
@@ -73,8 +72,7 @@ class AbstractAntV5(AbstractWalking[Task]):
 
     def sound(self, readings: Readings, next_readings: Readings) -> Readings:
         """Return the state after a step, or if it blew up the last sound one."""
-        alive = is_sound(next_readings)
-        return jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_readings, readings)
+        return last_sound(readings, next_readings)
 
     def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         """Return the cost of controls and contacts."""

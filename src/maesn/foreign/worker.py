@@ -68,19 +68,22 @@ class HostedEnvironment:
         """Return what the environment of a task says of itself."""
         env = self._with_task(task)
         inner = _unwrapped(env)
-        clocks = [vars(one).get("_max_episode_steps") for one in _layers(env)]  # `TimeLimit`
-        clocks.append(getattr(getattr(env, "spec", None), "max_episode_steps", None))
+        repeats, clocks = (1, []) if inner is env else self._first_step(env, inner)
+        own = getattr(getattr(env, "spec", None), "max_episode_steps", None)
         return {
             "spaces": self._spaces,
             "inner_action": _action_layout(inner.action_space),
-            "max_episode_steps": min((steps for steps in clocks if steps), default=None),
+            "max_episode_steps": min(clocks, default=own),
             "dt": _number(getattr(inner, "dt", None)),
             "rates": [_number(one.metadata.get("render_fps")) for one in (inner, env)],
-            "repeats": 1 if inner is env else self._count_steps(env, inner),
+            "repeats": repeats,
         }
 
-    def _count_steps(self, env: Any, inner: Any) -> int:
-        """Return how many steps of the innermost environment one step makes; 1 if unseen."""
+    def _first_step(self, env: Any, inner: Any) -> tuple[int, list[int]]:
+        """Return how many steps of the innermost environment a step makes, as wrappers repeat it.
+
+        And the steps of an episode that each clock in between (`TimeLimit`) allows.
+        """
         original, count = inner.step, 0
 
         def step(action: Any) -> Any:
@@ -88,17 +91,19 @@ class HostedEnvironment:
             count += 1
             return original(action)
 
-        try:
+        with contextlib.suppress(AttributeError):  # where nobody can look on
             inner.step = step
-        except AttributeError:  # nobody can look on
-            return 1
         try:
             _ask("reset", lambda: env.reset(seed=0))
             still = np.zeros(len(_action_layout(self._action_space)[1]))
             _ask("step", lambda: env.step(_action(self._action_space, still)))
         finally:
-            del inner.step
-        return count
+            with contextlib.suppress(AttributeError):
+                del inner.step
+        # `TimeLimit` has no public names for these two.
+        clocks = [vars(one) for one in _layers(env) if vars(one).get("_elapsed_steps")]
+        lengths = [-(-one["_max_episode_steps"] // one["_elapsed_steps"]) for one in clocks]
+        return count or 1, lengths
 
     def begin(self, task: bytes, seed: int) -> np.ndarray:
         """Begin an episode, and return its first reading."""

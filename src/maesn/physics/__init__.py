@@ -1,11 +1,10 @@
-"""Physics: models, and the engines that move them. Nothing else imports MuJoCo."""
+"""Physics: models, and the engine that moves them. Nothing else imports MuJoCo."""
 
 # First, as it imports MuJoCo even where MUJOCO_GL names a library that is missing.
 from maesn.physics.graphics import RenderingError as RenderingError
 from maesn.physics.graphics import offscreen_library as offscreen_library
 
 # isort: split
-from maesn.physics.base import EngineError as EngineError
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings
 from maesn.physics.interface import ModelActuators as ModelActuators

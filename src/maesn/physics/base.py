@@ -1,4 +1,4 @@
-"""Words and errors that the physics engines share."""
+"""Words, errors and checks of the physics."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
@@ -22,10 +22,6 @@ CURRENT = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
 LARGEST = float(mujoco.mjMAXVAL)
 
 _SHOWN = 5
-
-
-class EngineError(ImportError):
-    """The physics engine that an environment needs is not installed; the message says which."""
 
 
 class PhysicsError(Exception):

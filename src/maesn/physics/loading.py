@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from maesn.physics.base import EngineError
+from maesn.storage import RunError
 
 # MuJoCo's latest warnings. By default MuJoCo prints them and appends them to a log file in the
 # working directory, which may be read-only. (Engines read the warning counters instead.) MuJoCo
@@ -39,7 +39,7 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
     Raises:
         FileNotFoundError: there is neither such a model nor such a file.
         ValueError: MuJoCo cannot compile the XML; the message is one sentence.
-        EngineError: it is a model of Gymnasium, which is not installed.
+        RunError: it is a model of Gymnasium, which is not installed.
     """
     _redirect_warnings()
     _messages.clear()
@@ -86,9 +86,9 @@ def _elements_of(name: str) -> str:
     """Return the elements of a model in Gymnasium's package, as XML."""
     found = find_spec("gymnasium")  # not imported, which takes a while
     if found is None or found.origin is None:
-        raise EngineError(
+        raise RunError(
             "the robots of this family are those of Gymnasium, which is not installed: "
-            "pip install -e '.[gym]' in the clone of the repository"
+            "pip install -e '.[gym]' in the clone of the repository."
         )
     file = Path(found.origin).parent / "envs" / "mujoco" / "assets" / name
     root = ElementTree.fromstring(file.read_text("utf-8"))

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 from maesn.physics.base import (
     CURRENT,
     LARGEST,
-    EngineError,
     ModelFields,
     PhysicsError,
     Readings,
@@ -22,6 +21,8 @@ from maesn.physics.base import (
     sound_rows,
 )
 from maesn.physics.loading import load_model
+from maesn.settings import check_number
+from maesn.storage import RunError
 
 _Mask: TypeAlias = Bool[np.ndarray, " simulation"]
 
@@ -31,7 +32,7 @@ class NativeSimulator:
 
     It is the one stateful object of a rollout: it holds where every simulation is. It knows no
     task, no reward and no episode. Row i of every array is simulation i. Not to be shared between
-    Python threads.
+    Python threads. Threads and memory are released with the last reference to it.
 
     Readings beyond the state itself ("subtree_com", "sensordata", ...) cost a forward pass per
     step, without which they would be one substep old.
@@ -50,7 +51,7 @@ class NativeSimulator:
             the state as it is, for families in which this ends an episode.
 
     Raises:
-        EngineError: the installed MuJoCo is older than 4.0.
+        RunError: the installed MuJoCo is older than 4.0.
         ValueError: an argument is out of range, or MuJoCo knows no reading of that name. Else it
             raises as `load_model`.
     """
@@ -64,7 +65,7 @@ class NativeSimulator:
         num_threads: int = 0,
         nonfinite: Literal["raise", "report"] = "raise",
     ) -> None:
-        _check_settings(num_simulations, frame_skip, num_threads, nonfinite)
+        check_number("frame_skip", frame_skip, 1)
         self._engine = _import_engine()
         self._model = load_model(model)
         self._batch: Any = self._engine.Batch(self._model, num_simulations, num_threads)
@@ -77,11 +78,6 @@ class NativeSimulator:
         self._derives = not CURRENT.issuperset(readings)
         stage = mujoco.mjtStage.mjSTAGE_ACC if self._derives else mujoco.mjtStage.mjSTAGE_NONE
         self._stage = int(stage)
-
-    @property
-    def num_simulations(self) -> int:
-        """Number of simulations."""
-        return self._num_simulations
 
     def reset(
         self,
@@ -100,15 +96,14 @@ class NativeSimulator:
         Raises:
             PhysicsError: a state or a field is not finite.
         """
-        batch = self._open()
         check_rows("qpos", qpos, self._qpos)
         check_rows("qvel", qvel, self._qvel)
-        batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._write_model_fields(model_fields or {})
         self._qpos[...] = qpos
         self._qvel[...] = qvel
         if self._derives:
-            self._run(batch.forward)
+            self._run(self._batch.forward)
         return self._read()
 
     def step(
@@ -123,23 +118,10 @@ class NativeSimulator:
         Raises:
             PhysicsError: a control is not finite, or a simulation that counts has blown up.
         """
-        batch = self._open()
         check_rows("control", control, self._control)
         self._control[...] = control
-        self._run(batch.step, abandoned, nstep=self._frame_skip, stage=self._stage)
+        self._run(self._batch.step, abandoned, nstep=self._frame_skip, stage=self._stage)
         return self._read()
-
-    def close(self) -> None:
-        """Release threads and memory. Nothing else may be called afterwards."""
-        # The engine has no such call: it ends with the last reference to one of its arrays.
-        self._batch = None
-        self._readings = {}
-        self._qpos = self._qvel = self._control = np.empty((0, 0))
-
-    def _open(self) -> Any:
-        if self._batch is None:
-            raise RuntimeError("the simulator is closed: make a new one")
-        return self._batch
 
     def _run(self, call: Any, abandoned: _Mask | None = None, **arguments: Any) -> None:
         watched = np.ones(self._num_simulations, bool) if abandoned is None else ~abandoned
@@ -198,21 +180,7 @@ def _import_engine() -> ModuleType:
     try:
         return importlib.import_module("mujoco.batch")
     except ImportError as error:
-        raise EngineError(
+        raise RunError(
             "the physics needs mujoco >= 4.0, which brings `mujoco.batch`, but found mujoco "
-            f"{mujoco.__version__}: install a newer MuJoCo"
+            f"{mujoco.__version__}: install a newer MuJoCo."
         ) from error
-
-
-def _check_settings(
-    num_simulations: int, frame_skip: int, num_threads: int, nonfinite: str
-) -> None:
-    for name, value, smallest in (
-        ("num_simulations", num_simulations, 1),
-        ("frame_skip", frame_skip, 1),
-        ("num_threads", num_threads, 0),
-    ):
-        if value < smallest:
-            raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
-    if nonfinite not in ("raise", "report"):
-        raise ValueError(f'`nonfinite` must be "raise" or "report", got {nonfinite!r}')

@@ -33,7 +33,7 @@ from maesn.runs.serialization import (
 )
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, read_json, refusals, write_json
-from maesn.worlds.budget import check_memory, warn_of_duration
+from maesn.worlds.budget import check_memory
 
 
 class NotNamedError(RunError):
@@ -155,7 +155,6 @@ def new_config(
     """Return what a new run will write down."""
     env = make_env(family, settings)
     check_memory(env, settings.episodes_per_task)  # of one task; a batch of them is checked later
-    warn_of_duration(env, settings.episodes_per_task * settings.iterations)
     with refusals():
         made = RunConfig(
             settings=settings,

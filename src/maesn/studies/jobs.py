@@ -18,7 +18,6 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.running import held_latents
 from maesn.learners import AbstractMetaLearner
-from maesn.physics import EngineError
 from maesn.runs.config import CONFIG, RunSettings
 from maesn.runs.log import METRICS, TIMING
 from maesn.runs.run import Run
@@ -72,7 +71,7 @@ def computed(job: Job, jobs: Path) -> str | None:
                 seconds = round(time.perf_counter() - start, 1)
                 done = {"steps": round(job.steps * left), "seconds": seconds, **found}
                 storage.write_json(directory / DONE, done)
-    except (storage.RunError, EngineError, MemoryError, OSError, RuntimeError) as error:
+    except (storage.RunError, MemoryError, OSError, RuntimeError) as error:
         return str(error) or repr(error)
     return None
 

@@ -7,8 +7,8 @@ actions of every step. Rewards, observations and masks are pure functions of the
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -61,12 +61,8 @@ class Moment(NamedTuple):
     """`Decision.ended` of the step before; False at the start."""
 
 
-@runtime_checkable
-class Act(Protocol):
-    """Calls the policies for one step of a batch of episodes."""
-
-    def __call__(self, actors: Actors, moment: Moment) -> Decision:
-        """Return the decision of every episode."""
+Act: TypeAlias = Callable[[Actors, Moment], Decision]
+"""Calls the policies for one step of a batch of episodes."""
 
 
 class Trajectory(NamedTuple):

@@ -1,22 +1,15 @@
-"""Estimates of the memory and time of episodes before the first one is played; and the CPUs."""
+"""What a machine can hold: the memory of episodes before the first one is played, and the CPUs."""
 
 import contextlib
-import logging
 import os
 from pathlib import Path
 
 from maesn.envs.base import AnyEnv
 from maesn.storage import RunError
 
-logger = logging.getLogger(__name__)
-
-# About what two cores play in a second on `point`, the cheapest family.
-STEPS_PER_SECOND = 2e5
 # Share of the memory that `least_bytes` of tasks which advance together may fill. With what an
 # update keeps beside its episodes, gradients on `wheeled` take five times that.
 SHARE = 0.02
-# Control steps that are worth a warning: more than an hour, even at that speed.
-MANY_STEPS = 1e9
 
 
 def check_memory(env: AnyEnv, num_episodes: int) -> None:
@@ -42,17 +35,6 @@ def least_bytes(env: AnyEnv, num_episodes: int) -> int:
 def tasks_that_fit(env: AnyEnv, episodes_per_task: int) -> int:
     """Return how many tasks can advance together in the memory of this machine, at least 1."""
     return max(1, int(SHARE * memory() // least_bytes(env, episodes_per_task)))
-
-
-def warn_of_duration(env: AnyEnv, num_episodes: int) -> None:
-    """Say so before it begins if episodes will take hours or more."""
-    steps = num_episodes * env.horizon
-    if steps > MANY_STEPS:
-        hours = steps / STEPS_PER_SECOND / 3600
-        logger.warning(
-            f"{num_episodes:,} episodes of {env.horizon:,} steps are to be played. At "
-            f"{STEPS_PER_SECOND:,.0f} steps per second this takes {hours:,.0f} hours."
-        )
 
 
 def memory() -> int:

@@ -101,8 +101,6 @@ class NativeStepper(AbstractStepper):
             return _single(self._current.step(control, abandoned=ended))
 
     def close(self) -> None:
-        for simulator in self._simulators.values():
-            simulator.close()
         self._simulators, self._current = {}, None
 
     def _new(self, num_simulations: int) -> NativeSimulator:
