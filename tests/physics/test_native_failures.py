@@ -55,7 +55,7 @@ def test_a_control_that_is_not_finite_is_refused(bad: float, nonfinite: str) -> 
     control[[4, 7], 1] = bad
     with pytest.raises(PhysicsError, match="`control` must be finite") as caught:
         simulator.step(control)
-    assert caught.value.simulations == (4, 7)
+    assert caught.value.simulation == 4
     assert_equal([simulator.step(controls()[0])], [undisturbed[1]])  # nothing had moved
 
 
@@ -66,7 +66,7 @@ def test_a_start_that_is_not_finite_is_refused(name: str) -> None:
     states[name][5, 0] = np.nan
     with pytest.raises(PhysicsError, match=f"`{name}` must be finite") as caught:
         simulator.reset(**states)
-    assert caught.value.simulations == (5,)
+    assert caught.value.simulation == 5
 
 
 def test_a_violent_state_is_reported_where_it_is() -> None:
@@ -77,7 +77,7 @@ def test_a_violent_state_is_reported_where_it_is() -> None:
     simulator.reset(qpos, qvel)
     with pytest.raises(PhysicsError, match=r"simulation 9: MuJoCo warns: .* QACC") as caught:
         coast(simulator, actuators=2, steps=20)
-    assert caught.value.simulations == (9,)
+    assert caught.value.simulation == 9
     assert_equal(play(simulator), before)  # and the next reset is clean
 
 
@@ -91,7 +91,7 @@ def test_a_blow_up_is_seen_in_the_step_that_makes_it(unstable: Path) -> None:
         PhysicsError, match="the state must stay finite and below 1e\\+10"
     ) as caught:
         simulator.step(control)
-    assert caught.value.simulations == (2,)
+    assert caught.value.simulation == 2
 
 
 @pytest.mark.parametrize("readings", [STATE, (*STATE, "geom_xpos")])
@@ -101,9 +101,9 @@ def test_a_blow_up_is_raised_at_once_or_reported(unstable: Path, readings: tuple
     simulator = NativeSimulator(unstable, 6, readings)
     simulator.reset(qpos, np.zeros((6, 1)))
     coast(simulator, actuators=1, steps=1)  # x = 1e-6 * 1e7
-    with pytest.raises(PhysicsError, match="simulation 1, 4: ") as caught:
+    with pytest.raises(PhysicsError, match="simulation 1: ") as caught:
         coast(simulator, actuators=1, steps=3)
-    assert caught.value.simulations == (1, 4)
+    assert caught.value.simulation == 1
     with pytest.raises(PhysicsError):  # nobody can go on by accident
         coast(simulator, actuators=1, steps=1)
     simulator = NativeSimulator(unstable, 6, readings, nonfinite="report")

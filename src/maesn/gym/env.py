@@ -17,8 +17,9 @@ from maesn.envs.base import Start
 from maesn.envs.hosted import AbstractGymnasiumEnv
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.gym.units import box_to_action, one_hot
+from maesn.physics import PhysicsError
 from maesn.settings import check_choice
-from maesn.worlds import EpisodeError, Scene, SimulationFailure, arena, open_stepper
+from maesn.worlds import EpisodeError, Scene, arena, open_stepper
 from maesn.worlds.outcome import observe
 
 Observation = Float[np.ndarray, " observation"]
@@ -115,7 +116,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         start = _start(self._inner, self.np_random.integers(2**32, dtype=np.uint32), self._task)
         try:
             self._readings = self._stepper.begin(start, None)
-        except SimulationFailure as failure:
+        except PhysicsError as failure:
             raise self._error(failure.reason) from failure
         self._ended = False
         observation, solved = _look(self._inner, self._readings, self._task)
@@ -144,7 +145,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         control = np.asarray(_control(self._inner, action))
         try:
             self._readings = self._stepper.step(control, np.zeros(1, bool))
-        except SimulationFailure as failure:
+        except PhysicsError as failure:
             raise self._error(failure.reason) from failure
         judged = _judge(self._inner, before, action, self._readings, self._task)
         observation, *numbers = map(np.array, judged)

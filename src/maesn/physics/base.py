@@ -1,6 +1,6 @@
 """Words, errors and checks of the physics."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import mujoco
@@ -21,25 +21,20 @@ CURRENT = frozenset({"time", "qpos", "qvel", "act", "mocap_pos", "mocap_quat"})
 # Beyond this size MuJoCo itself calls a number bad, and ignores it as it ignores NaN.
 LARGEST = float(mujoco.mjMAXVAL)
 
-_SHOWN = 5
-
 
 class PhysicsError(Exception):
-    """Some simulations of a batch cannot go on.
+    """A simulation of a batch cannot go on.
 
     Attributes:
-        simulations: the indices of the simulations that failed, ascending. The caller that made the
-            batch knows which task and episode they are.
-        reason: one sentence about the first of them.
+        simulation: its index; the first one's, if there are several. The caller that made the batch
+            knows which task and episode it is.
+        reason: one sentence.
     """
 
-    def __init__(self, simulations: Sequence[int], reason: str) -> None:
-        self.simulations: tuple[int, ...] = tuple(int(index) for index in simulations)
+    def __init__(self, simulation: int, reason: str) -> None:
+        super().__init__(f"simulation {simulation}: {reason}")
+        self.simulation = simulation
         self.reason = reason
-        shown = ", ".join(map(str, self.simulations[:_SHOWN]))
-        more = len(self.simulations) - _SHOWN
-        rest = f" and {more} more" if more > 0 else ""
-        super().__init__(f"simulation {shown}{rest}: {reason}")
 
 
 def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
@@ -63,10 +58,10 @@ def check_rows(name: str, values: np.ndarray, present: np.ndarray) -> None:
     if values.shape != present.shape:
         raise ValueError(f"`{name}` must have the shape {present.shape}, got {values.shape}")
     if not is_sound(values):
-        failed = np.flatnonzero(~sound_rows(values))
+        failed = int(np.argmin(sound_rows(values)))
         raise PhysicsError(
-            failed.tolist(),
-            f"`{name}` must be finite and below {LARGEST:.0e} in size, got {values[failed[0]]}: "
+            failed,
+            f"`{name}` must be finite and below {LARGEST:.0e} in size, got {values[failed]}: "
             "look for what computed it, because MuJoCo would go on without it",
         )
 

@@ -128,9 +128,9 @@ class NativeSimulator:
         try:
             call(**arguments)
         except self._engine.SimulationError as error:
-            failed = error.ids[watched[error.ids]].tolist()
-            if failed:
-                raise PhysicsError(failed, str(error)) from error
+            failed = error.ids[watched[error.ids]]
+            if failed.size:
+                raise PhysicsError(int(failed[0]), str(error)) from error
         if self._raises:
             self._check_physics(watched)
 
@@ -142,9 +142,9 @@ class NativeSimulator:
         # A reset clears the counters, so whatever they hold happened since then.
         count = self._batch.warning[:, :, 1]
         failed = ~(sound_rows(self._qpos) & sound_rows(self._qvel)) | count.any(axis=1)
-        simulations = np.flatnonzero(failed & watched).tolist()
-        if simulations:
-            raise PhysicsError(simulations, self._reason(simulations[0]))
+        if (failed & watched).any():
+            first = int(np.argmax(failed & watched))
+            raise PhysicsError(first, self._reason(first))
 
     def _reason(self, simulation: int) -> str:
         info, count = self._batch.warning[simulation].T

@@ -150,7 +150,7 @@ class AbstractWorld(ABC):
             draws the states of all others.
 
         Raises:
-            SimulationFailure: an environment cannot be used.
+            WorkerError: an environment cannot be used.
         """
         return False
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import weakref
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -14,7 +13,7 @@ from maesn.axes import HostReadings
 from maesn.envs.hosted import AbstractGymnasiumEnv, as_given, task_row
 from maesn.foreign import WorkerError, WorkerPool, pack_task
 from maesn.physics import offscreen_library
-from maesn.worlds.base import EnvContractError, SimulationFailure
+from maesn.worlds.base import EnvContractError
 from maesn.worlds.budget import num_cpus
 from maesn.worlds.stepping import AbstractStepper, Controls, Ended, Renderer
 
@@ -40,39 +39,30 @@ class HostedStepper(AbstractStepper):
         host = jax.device_get(tasks)
         packed = [pack_task(task_row(host, i)) for i in range(len(jax.tree.leaves(host)[0]))]
         each = len(start) // len(packed)
-        with self._naming() as pool:
-            seeds = np.asarray(start).tolist()
-            return pool.begin([task for task in packed for _ in range(each)], seeds)
+        seeds = np.asarray(start).tolist()
+        return self._open().begin([task for task in packed for _ in range(each)], seeds)
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
-        with self._naming() as pool:
-            return pool.step(control)
+        return self._open().step(control)
 
     def renderer(self, task: Any) -> Renderer | None:
         """None unless `make_env` has set `render_mode="rgb_array"`."""
-        with self._naming() as pool:
-            renders = pool.renders(pack_task(as_given(task)))
-        return self._pictures if renders else None
+        return self._pictures if self._open().renders(pack_task(as_given(task))) else None
 
     def _pictures(self, count: int) -> list[UInt8[np.ndarray, "height width 3"]]:
-        with self._naming() as pool:
-            return pool.pictures(count, offscreen_library())
+        return self._open().pictures(count, offscreen_library())
 
     def close(self) -> None:
         if self._pool is not None:
             self._pool.close()
             self._pool = None
 
-    @contextlib.contextmanager
-    def _naming(self) -> Iterator[WorkerPool]:
+    def _open(self) -> WorkerPool:
         if self._pool is None:
             self._pool = self._env.open_pool(self._num_workers)
             # Also at the end of the program.
             weakref.finalize(self, self._pool.close)
-        try:
-            yield self._pool
-        except WorkerError as error:
-            raise SimulationFailure(error.simulation, 0, error.reason) from error
+        return self._pool
 
 
 def check_hosted(env: AbstractGymnasiumEnv, task: Any) -> None:

@@ -14,6 +14,8 @@ from PIL import Image, ImageOps
 from maesn.axes import HostReadings, RecurrentState
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
+from maesn.foreign import WorkerError
+from maesn.physics import PhysicsError
 from maesn.worlds.base import (
     AbstractWorld,
     Act,
@@ -58,7 +60,7 @@ class HostWorld(AbstractWorld):
         try:
             record = _Record(self.stepper.begin(start, actors.tasks), self.env.horizon)
             return self._played(record, act, actors)
-        except SimulationFailure as failure:
+        except (PhysicsError, WorkerError) as failure:
             self.close()
             step = 0 if record is None else record.length
             raise SimulationFailure(failure.simulation, step, failure.reason) from failure

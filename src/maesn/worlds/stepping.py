@@ -5,8 +5,7 @@ outside. What differs between MuJoCo, JAX and environments of others is hidden h
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -17,7 +16,6 @@ from jaxtyping import Array, Bool, Float, UInt8
 from maesn.axes import HostReadings
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, Start
 from maesn.physics import NativeSimulator, PhysicsError
-from maesn.worlds.base import SimulationFailure
 
 Controls: TypeAlias = Float[np.ndarray, "simulation control"]
 Ended: TypeAlias = Bool[np.ndarray, " simulation"]
@@ -46,7 +44,7 @@ class AbstractStepper(ABC):
             The readings of all simulations, in single precision.
 
         Raises:
-            SimulationFailure: one of them cannot begin.
+            PhysicsError, WorkerError: one of them cannot begin.
         """
 
     @abstractmethod
@@ -58,7 +56,7 @@ class AbstractStepper(ABC):
             ended: simulations whose episode is over. Their readings may be anything.
 
         Raises:
-            SimulationFailure: one whose episode is not over cannot go on.
+            PhysicsError, WorkerError: one whose episode is not over cannot go on.
         """
 
     def renderer(self, task: Any) -> Renderer | None:
@@ -67,7 +65,7 @@ class AbstractStepper(ABC):
         The environment is asked with the task, and any task will do.
 
         Raises:
-            SimulationFailure: the environment cannot be used.
+            WorkerError: the environment cannot be used.
         """
         return None
 
@@ -91,14 +89,12 @@ class NativeStepper(AbstractStepper):
     def begin(self, start: Start, tasks: Any) -> HostReadings:
         qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
         self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
-        with _naming_simulations():
-            return _single(self._current.reset(qpos, qvel, fields))
+        return _single(self._current.reset(qpos, qvel, fields))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
         if self._current is None:
             raise RuntimeError(_CLOSED)
-        with _naming_simulations():
-            return _single(self._current.step(control, abandoned=ended))
+        return _single(self._current.step(control, abandoned=ended))
 
     def close(self) -> None:
         self._simulators, self._current = {}, None
@@ -120,15 +116,6 @@ def _single(readings: HostReadings) -> HostReadings:
     # What blew up may be finite in double precision and infinite in single.
     with np.errstate(over="ignore"):
         return {name: value.astype(np.float32) for name, value in readings.items()}
-
-
-@contextmanager
-def _naming_simulations() -> Iterator[None]:
-    """Turn an error of the engine into a `SimulationFailure`."""
-    try:
-        yield
-    except PhysicsError as error:
-        raise SimulationFailure(error.simulations[0], 0, error.reason) from error
 
 
 class DeviceStepper(AbstractStepper):
@@ -153,7 +140,7 @@ class DeviceStepper(AbstractStepper):
             raise RuntimeError(_CLOSED)
         bad = ~np.isfinite(control).all(axis=1) & ~ended
         if bad.any():
-            raise SimulationFailure(int(np.argmax(bad)), 0, "the control is not finite")
+            raise PhysicsError(int(np.argmax(bad)), "the control is not finite")
         moved = _advance(self._env, self._state, control.astype(np.float32))
         self._state = {name: np.array(value) for name, value in moved.items()}
         return self._state
