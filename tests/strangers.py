@@ -21,7 +21,7 @@ START_NOISE = 0.1
 
 
 class Walker(gymnasium.Env[Any, Any]):
-    """A point that moves by its action, in a plane that its observation describes oddly.
+    """A point that moves by its action in a plane; it sees the time, and where it is.
 
     The task is (goal x, goal y, step at which it ends, how): how 1 is terminated, 2 truncated,
     3 both, and 0 never.
@@ -29,12 +29,7 @@ class Walker(gymnasium.Env[Any, Any]):
 
     metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012  # Gymnasium's own form
     action_space = spaces.Box(np.float32([-1, 0]), np.float32([1, 0.5]))
-    observation_space = spaces.Dict(
-        {
-            "place": spaces.Box(-np.inf, np.inf, (2,)),
-            "clock": spaces.Tuple((spaces.Discrete(HORIZON + 1), spaces.Box(0, 1, (1, 1)))),
-        }
-    )
+    observation_space = spaces.Box(-np.inf, np.inf, (3,))
 
     def __init__(self, task: np.ndarray) -> None:
         self.task = task
@@ -49,8 +44,7 @@ class Walker(gymnasium.Env[Any, Any]):
         return self.see(), {}
 
     def see(self) -> Any:
-        clock = (self.steps, np.float32([[self.steps / HORIZON]]))
-        return {"place": self.place.astype(np.float32), "clock": clock}
+        return np.float32([self.steps / HORIZON, *self.place])
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         assert not self.ended, "stepped after its end"
@@ -190,15 +184,12 @@ class Broken(Settable):
 
     @property
     def observation_space(self) -> Any:  # type: ignore[override]
-        parts = dict(Walker.observation_space.spaces)
-        if int(self.task[2]) == 62:
-            parts["more"] = spaces.Discrete(3)
-        return spaces.Dict(parts)
+        return spaces.Box(-np.inf, np.inf, (4 if int(self.task[2]) == 62 else 3,))
 
     def see(self) -> Any:
         seen, kind = super().see(), int(self.task[2])
         if self.due and kind == 10:
-            seen["place"] = np.float32([0, np.nan])
+            seen[2] = np.nan
         return seen
 
     def step(self, action: np.ndarray) -> Any:

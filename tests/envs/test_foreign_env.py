@@ -192,7 +192,7 @@ REFUSED = {
     "must be a bounded `Box` of floating-point numbers or `Discrete`, got MultiDiscrete": Plain(
         BOX, spaces.MultiDiscrete([2, 3])
     ),
-    "must flatten to a vector of fixed length": Plain(spaces.Sequence(BOX), BOX),
+    "the observation space must be a `Box`": Plain(spaces.Discrete(3), BOX),
     "`horizon` must be given for `plain`": Plain(BOX, BOX),
 }
 

@@ -18,22 +18,16 @@ from maesn.policies import CategoricalMLP, Recurrent
 from maesn.worlds import make_world
 
 
-def flat(seen: Any) -> np.ndarray:
-    """By hand, in the order of Gymnasium: keys of a `Dict` are sorted."""
-    choice, share = seen["clock"]
-    return np.concatenate([np.eye(HORIZON + 1)[choice], share.ravel(), seen["place"]])
-
-
 def plain_loop(task: np.ndarray, seed: int, actions: np.ndarray) -> dict[str, np.ndarray]:
     """One episode by Gymnasium's interface alone; the action space reaches from (-1, 0)."""
     env = Walker(task)
     seen, _ = env.reset(seed=int(seed))
-    record: dict[str, list[Any]] = {"observation": [flat(seen)], "reward": [], "solved": []}
+    record: dict[str, list[Any]] = {"observation": [seen], "reward": [], "solved": []}
     terminated = truncated = False
     for action in actions:
         control = np.clip(action * [1, 0.25] + [0, 0.25], [-1, 0], [1, 0.5]).astype(np.float32)
         seen, reward, terminated, truncated, info = env.step(control)
-        record["observation"].append(flat(seen))
+        record["observation"].append(seen)
         record["reward"].append(reward)
         record["solved"].append(info["is_success"])
         if terminated or truncated:

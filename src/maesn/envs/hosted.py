@@ -8,9 +8,8 @@ unbounded, and component i of the control is
 with the middle and half the width of the action space: a = 0 is the middle, and +-1 are the bounds.
 A `Discrete` action space becomes a choice, a one-hot vector.
 
-The bounds are the tightest of the environment and its wrappers. The reward is the environment's
-own, as is the end of an episode: `terminated` is the task's, and `truncated` is a clock's. Success
-is `info["is_success"]` or else `info["success"]`.
+The reward is the environment's own, as is the end of an episode: `terminated` is the task's, and
+`truncated` is a clock's. Success is `info["is_success"]` or else `info["success"]`.
 """
 
 from collections.abc import Callable

@@ -17,7 +17,6 @@ import struct
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -37,8 +36,6 @@ MARK = struct.Struct("=Qq")
 _SUCCESS = ("is_success", "success")
 # Most characters of a message that are shown: a user's may have millions.
 _LONGEST = 1000
-
-Flattener = tuple[Callable[[Any], np.ndarray], str, list[str]]
 
 
 class HostedError(Exception):
@@ -171,8 +168,11 @@ class HostedEnvironment:
             raise HostedError(f"`make_env` must return a `gymnasium.Env`, got {env!r}")
         # Kept, because every look-up goes through all wrappers.
         self._action_space = env.action_space
-        self._flatten, *layout = flattener(env.observation_space, "the observation")
-        found = {"observation": layout, "action": _action_layout(self._action_space)}
+        self._shape = env.observation_space.shape
+        found = {
+            "observation": _observation_layout(env.observation_space),
+            "action": _action_layout(self._action_space),
+        }
         self._spaces = self._spaces or found
         for name, space in found.items():
             if space != self._spaces[name]:
@@ -186,7 +186,7 @@ class HostedEnvironment:
     def _read(
         self, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any
     ) -> np.ndarray:
-        vector = _ask("the observation", lambda: self._flatten(observation))
+        vector = _ask("the observation", lambda: _numbers(observation, self._shape))
         try:
             gain = float(reward)
         except (TypeError, ValueError) as error:
@@ -228,8 +228,7 @@ def _number(value: Any) -> float | None:
 def _kind(space: Any) -> str:
     """Return the kind of a space by its name, as no module of Gymnasium is imported."""
     names = [one.__name__ for one in type(space).__mro__]
-    known = ("Box", "Dict", "Discrete", "MultiBinary", "MultiDiscrete", "Tuple")
-    return next((name for name in names if name in known), names[0])
+    return next((name for name in names if name in ("Box", "Discrete")), names[0])
 
 
 def _action_layout(space: Any) -> list[Any]:
@@ -249,75 +248,26 @@ def _action(space: Any, control: np.ndarray) -> Any:
     return np.minimum(np.maximum(action, space.low), space.high)
 
 
-def flattener(space: Any, where: str) -> Flattener:
-    """Return a function that checks and flattens observations, in the order of Gymnasium's own.
-
-    Gymnasium's `contains` asks for exact types and bounds, which environments often miss by little;
-    its `flatten` asks for nothing, and takes numbers of one part for those of another. With it come
-    a text that is equal for spaces whose elements flatten alike, and a name for each component.
-    Messages call the observation, or the part of one, by `where`.
-    """
-    kind = _kind(space)
-    if kind in ("Dict", "Tuple"):
-        return _of_parts(space, kind == "Dict", where)
-    integer = np.iinfo(np.int64 if kind != "Box" or space.dtype.kind == "f" else space.dtype)
-    low: Any = {"Box": integer.min, "MultiBinary": 0}.get(kind, getattr(space, "start", 0))
-    counts = {"Discrete": getattr(space, "n", 0), "MultiDiscrete": getattr(space, "nvec", 0)}
-    if kind in ("Box", "MultiBinary"):
-        high = integer.max if kind == "Box" else 1
-        read = partial(_numbers, space, low, high, where)
-        return read, f"{kind}{list(space.shape)}", _names(where, int(np.prod(space.shape)))
-    if kind in counts:
-        count = np.asarray(counts[kind], np.int64)
-        low = np.asarray(low, np.int64)
-
-        def one_hot(value: Any) -> np.ndarray:
-            chosen = _numbers(space, low, low + count - 1, where, value) - low.ravel()
-            pairs = zip(count.ravel(), chosen, strict=True)
-            return np.concatenate([np.arange(size) == choice for size, choice in pairs])
-
-        return one_hot, str(space), _names(where, int(count.sum()))
-    raise HostedError(
-        "the observation space must flatten to a vector of fixed length, as `Box`, "
-        f"`Discrete`, and `Dict` and `Tuple` of them do, got {space}."
-    )
-
-
-def _of_parts(space: Any, named: bool, where: str) -> Flattener:
-    items = space.spaces.items() if named else enumerate(space.spaces)
-    parts = {name: flattener(part, f"{where}[{name!r}]") for name, part in items}
-    what = f"{'dictionary' if named else 'tuple'} of {', '.join(map(str, parts))}"
-
-    def read(value: Any) -> np.ndarray:
-        fits = isinstance(value, Mapping) if named else isinstance(value, tuple | list | np.ndarray)
-        if not fits or set(value if named else range(len(value))) != set(parts):
-            raise HostedError(f"{where} must be a {what}, got {value!r}")
-        return np.concatenate([part[0](value[name]) for name, part in parts.items()])
-
-    names = [name for part in parts.values() for name in part[2]]
-    inside = ", ".join(f"{name}: {part[1]}" for name, part in parts.items())
-    return read, f"{_kind(space)}({inside})", names
-
-
-def _names(where: str, size: int) -> list[str]:
-    return [f"{where.removeprefix('the ')}[{index}]" for index in range(size)]
-
-
-def _numbers(space: Any, low: Any, high: Any, where: str, value: Any) -> np.ndarray:
-    numbers = np.asarray(value)
-    if numbers.shape != space.shape:
+def _observation_layout(space: Any) -> list[Any]:
+    """Return a text that is equal for spaces of one shape, and a name for each component."""
+    if _kind(space) != "Box":
         raise HostedError(
-            f"{where} must have the shape {space.shape} of its space, got {numbers.shape}"
+            f"the observation space must be a `Box`, got {space}: wrap the environment in "
+            "`gymnasium.wrappers.FlattenObservation`"
+        )
+    names = [f"observation[{index}]" for index in range(int(np.prod(space.shape)))]
+    return [f"Box{list(space.shape)}", names]
+
+
+def _numbers(observation: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Return an observation as a vector. Types and bounds are free: many miss theirs by little."""
+    numbers = np.asarray(observation)
+    if numbers.shape != shape:
+        raise HostedError(
+            f"the observation must have the shape {shape} of its space, got {numbers.shape}"
         )
     if numbers.dtype.kind not in "biuf":
-        raise HostedError(f"{where} must hold numbers, got {value!r}")
-    if space.dtype.kind != "f":
-        with np.errstate(invalid="ignore"):
-            whole = numbers.astype(np.int64)
-        if not np.array_equal(whole, numbers) or np.any(whole < low) or np.any(whole > high):
-            raise HostedError(
-                f"{where} must hold whole numbers from {low} to {high}, got {value!r}"
-            )
+        raise HostedError(f"the observation must hold numbers, got {observation!r}")
     return numbers.ravel().astype(np.float64)
 
 
