@@ -179,7 +179,6 @@ def test_an_end_by_nature_is_a_termination() -> None:
         ({"family": "weeled"}, RunError, "Did you mean `wheeled`"),
         ({"sparse_radius": -1.0}, ValueError, "`sparse_radius` must be at least 0"),
         ({"render_mode": "human"}, ValueError, "`render_mode` must be None or 'rgb_array'"),
-        ({"rewards": "sparse"}, TypeError, "rewards"),
     ],
 )
 def test_wrong_settings_are_refused_by_name(
@@ -205,12 +204,6 @@ def test_a_wrong_option_of_a_reset_is_refused_and_changes_nothing(
     with pytest.raises(ValueError, match=message):
         env.reset(seed=4, options=wrong)
     assert env.reset(options={})[1] == other.reset()[1]
-
-
-@pytest.mark.usefixtures("no_type_checks")
-def test_a_misspelt_reward_is_refused_by_the_name_that_it_was_given() -> None:
-    with pytest.raises(ValueError, match=r"^`reward` must be 'dense' or 'sparse', got 'sprase'\.$"):
-        TaskEnv("point", reward="sprase")
 
 
 def test_gymnasium_plays_several_at_once() -> None:

@@ -19,17 +19,6 @@ def test_a_family_is_found_by_its_name() -> None:
         assert family.name == family.make_env().name == name
 
 
-@pytest.mark.parametrize(
-    ("wrong", "meant"), [("weeled", "wheeled"), ("Point", "point"), ("xyzzy", None)]
-)
-def test_a_near_miss_is_answered_by_a_suggestion(wrong: str, meant: str | None) -> None:
-    with pytest.raises(ValueError, match=f"got `{wrong}`") as error:
-        find_family(wrong)
-    assert all(name in str(error.value) for name in FAMILIES)
-    assert ("Did you mean" in str(error.value)) == (meant is not None)
-    assert meant is None or f"Did you mean `{meant}`?" in str(error.value)
-
-
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_takes_the_same_settings(name: str) -> None:
     default = find_family(name).make_env()

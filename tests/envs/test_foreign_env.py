@@ -151,16 +151,6 @@ def test_the_environment_is_looked_at_once_and_closed(tmp_path: Path) -> None:
     assert closed == "closed"
 
 
-def test_the_first_look_is_at_the_first_task_of_training() -> None:
-    first = walkers.task_set("training")[0]
-
-    def make(task: np.ndarray, reward: str) -> Any:
-        assert task.tolist() == first.tolist()
-        return make_walker(task, reward)
-
-    gymnasium_family("walker", make, draw_walks, horizon=2).make_env()
-
-
 def test_tasks_are_handed_over_as_arrays_of_single_precision() -> None:
     task = task_row({"a": np.arange(6.0).reshape(2, 3), "b": np.array([7, 8])}, 1)
     assert isinstance(task["a"], np.ndarray)

@@ -1,13 +1,13 @@
 """What follows the end of an episode may be anything, and harms nothing."""
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from carts import MOTOR, RUNAWAY, TIME_STEP, CartTask, cart_on
+from carts import RUNAWAY, CartTask, cart_on
 from playing import play
 
 from maesn.envs import TaskSet
@@ -61,15 +61,3 @@ def test_only_abandoned_simulations_may_blow_up() -> None:
         with pytest.raises(PhysicsError) as caught:
             simulator.step(controls, abandoned=abandoned)
         assert caught.value.simulation == failed
-
-
-def test_a_control_step_may_be_several_physics_steps(tmp_path: Path) -> None:
-    class Slow(cart_on(tmp_path, MOTOR)):  # type: ignore[misc]
-        frame_skip: ClassVar[int] = 3
-        control_period: ClassVar[float] = 3 * TIME_STEP
-
-    tasks = TaskSet(CartTask(np.float32([0.0]), np.float32([1.0])))
-    episodes = play(Slow(force=2.0), tasks, [0], episodes=2)
-    # v = a t, in steps of three hundredths of a second
-    expected = 2.0 * 3 * TIME_STEP * np.arange(13)
-    np.testing.assert_allclose(episodes.observation[0, 0, :, 1], expected, rtol=1e-5)

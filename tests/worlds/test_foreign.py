@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from playing import agents, assert_same, play
 from strange_families import EPISODES, SEED, family_of, is_running, seeds, settable, walkers
-from strangers import HORIZON, Chooser, Walker, draw_walks
+from strangers import Chooser, Walker, draw_walks
 
 from maesn.context import Nothing
 from maesn.envs import TaskSet
@@ -66,11 +66,6 @@ def test_episodes_are_those_of_a_plain_loop(episodes: Episodes) -> None:
         assert played.terminated == wanted["terminated"]
 
 
-def test_truncation_is_no_termination(episodes: Episodes) -> None:
-    np.testing.assert_array_equal(episodes.valid.sum(-1)[:4, 0], [2, 3, 4, HORIZON])
-    np.testing.assert_array_equal(episodes.terminated[:4, 0], [True, False, True, False])
-
-
 def test_neither_processes_nor_how_tasks_are_set_change_what_is_played(episodes: Episodes) -> None:
     settled = play(
         settable.make_env(), tasks(), range(8), episodes=EPISODES, seed=SEED, num_threads=3
@@ -122,7 +117,7 @@ def test_no_more_processes_are_started_than_there_are_episodes() -> None:
 def test_a_world_that_is_forgotten_ends_its_processes() -> None:
     world = make_world(walkers.make_env(), tasks(), num_threads=2)
     world.stepper.begin(jax.numpy.arange(2, dtype=np.uint32), tasks()[:1])
-    processes = world.stepper.process_ids
+    processes = world.stepper._pool.process_ids
     assert len(processes) == 2
     assert all(map(is_running, processes))
     del world

@@ -17,7 +17,7 @@ from maesn.axes import Key
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
 from maesn.experience.episodes import Episodes
 from maesn.physics import load_model
-from maesn.worlds import EpisodeError, make_world
+from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
 TASK_INDEX = [17, 3]
@@ -163,10 +163,3 @@ def test_tasks_may_change_the_dynamics(tmp_path: Path) -> None:
                 rtol=1e-5,
                 atol=1e-6,
             )
-
-
-def test_a_field_that_is_not_finite_is_named(tmp_path: Path) -> None:
-    env = cart_on(tmp_path, MOTOR)(force=3.0)
-    broken = TaskSet(CartTask(np.float32([0.0, 0.0]), np.float32([1.0, np.nan])))
-    with pytest.raises(EpisodeError, match="cart, task 1, episode 0, step 0: `body_mass` must be"):
-        play(env, broken, [0, 1], cast=agents(env, 2))

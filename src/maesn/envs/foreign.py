@@ -97,36 +97,22 @@ def gymnasium_family(
         sparse_radius: float = 0.0,
     ) -> AbstractGymnasiumEnv:
         """A Gymnasium environment."""
-        _refuse_settings(name, variant, sparse_radius)
-        return _instance(family_class(), horizon, reward_kind)
+        if variant != "reference" or sparse_radius:
+            raise ValueError(
+                f"`variant` and `sparse_radius` have no meaning in `{name}`, whose rewards are "
+                "its environment's own: leave them out."
+            )
+        kind = family_class()
+        found, lacks = kind.interface, "it has no `TimeLimit` and no `spec.max_episode_steps`"
+        return kind(
+            horizon=_known(name, "horizon", horizon, found.max_episode_steps, lacks),
+            observation_size=found.observation_size,
+            action_size=len(found.lower),
+            reward_kind=reward_kind,
+        )
 
     family = TaskFamily(name, make, draw_tasks, task_names, seed)
     return family
-
-
-def _refuse_settings(name: str, variant: Variant, sparse_radius: float) -> None:
-    if variant != "reference" or sparse_radius:
-        raise ValueError(
-            f"`variant` and `sparse_radius` have no meaning in `{name}`, whose rewards are "
-            "its environment's own: leave them out."
-        )
-
-
-def _instance(
-    kind: type[AbstractGymnasiumEnv], horizon: int | None, reward_kind: RewardKind
-) -> AbstractGymnasiumEnv:
-    return kind(
-        horizon=_known(
-            kind.name,
-            "horizon",
-            horizon,
-            kind.interface.max_episode_steps,
-            "it has no `TimeLimit` and no `spec.max_episode_steps`",
-        ),
-        observation_size=kind.interface.observation_size,
-        action_size=len(kind.interface.lower),
-        reward_kind=reward_kind,
-    )
 
 
 def _family_class(

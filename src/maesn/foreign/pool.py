@@ -80,8 +80,7 @@ class WorkerPool:
 
     def renders(self, task: bytes) -> bool:
         """Return whether the environment of a task draws itself."""
-        answer: bool = self._first("renders", task)
-        return answer
+        return bool(self._first("renders", task))
 
     def begin(self, tasks: Sequence[bytes], seeds: Sequence[int]) -> Readings:
         """Begin an episode in every simulation, each with its task and its seed."""

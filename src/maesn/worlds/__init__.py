@@ -21,8 +21,7 @@ from maesn.worlds.host import HostWorld as HostWorld
 from maesn.worlds.scene import Scene as Scene
 from maesn.worlds.scene import arena as arena
 from maesn.worlds.scene import places as places
-from maesn.worlds.stepping import AbstractStepper as AbstractStepper
-from maesn.worlds.stepping import DeviceStepper, NativeStepper
+from maesn.worlds.stepping import AbstractStepper, DeviceStepper, NativeStepper
 
 
 def make_world(env: AnyEnv, tasks: TaskSet, num_threads: int = 0) -> AbstractWorld:

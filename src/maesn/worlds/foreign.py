@@ -30,11 +30,6 @@ class HostedStepper(AbstractStepper):
         self._num_workers = num_workers or num_cpus()
         self._pool: WorkerPool | None = None
 
-    @property
-    def process_ids(self) -> list[int]:
-        """Process ids of the workers that have been started."""
-        return [] if self._pool is None else self._pool.process_ids
-
     def begin(self, start: UInt32[Array | np.ndarray, " simulation"], tasks: Any) -> HostReadings:
         host = jax.device_get(tasks)
         packed = [pack_task(task_row(host, i)) for i in range(len(jax.tree.leaves(host)[0]))]
