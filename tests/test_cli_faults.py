@@ -100,14 +100,6 @@ def test_the_machines_memory_is_that_of_the_kernel() -> None:
     assert 2**28 < budget.memory() <= 1024 * total
 
 
-def test_what_takes_days_says_so_first(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    create_tiny(tmp_path / "few", iterations=10**5)
-    assert not caplog.messages
-    create_tiny(tmp_path / "many", iterations=24 * 10**6)
-    # 24 million iterations of 3 episodes of one task at least, 40 steps each.
-    assert "4 hours" in caplog.text
-
-
 def test_tasks_that_a_small_file_states_are_limited(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -132,6 +132,7 @@ def adapt(
         EpisodeError: an episode went wrong.
     """
     asked, opened = evaluation.changed(**settings), running.open_run(run, family, method)
+    opened.task_set(asked.tasks)  # says what is wrong before the table gets its name
     table = Path(out) if out else running.adaptation_file(opened.directory, asked)
     check_writable(table)
     return running.write_outcome(table, *running.evaluate(opened, asked))
