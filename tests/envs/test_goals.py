@@ -72,15 +72,6 @@ def test_the_edge_of_the_radius_belongs_to_the_goal_region(make_env: type) -> No
         assert float(env.reward(edge, jnp.zeros(2), state, goal).total) == expected
 
 
-@pytest.mark.parametrize(("make_env", "radius"), [(Wheeled, 0.8), (Point, 0.5)])
-def test_the_default_radius(make_env: type, radius: float) -> None:
-    env = make_env(reward_kind="sparse", variant="paper")
-    assert env.sparse_radius == radius
-    for distance, reached in ((radius - 0.01, True), (radius + 0.01, False)):
-        state = readings(env, (2.0 - distance, 0.0))
-        assert bool(env.solved(state, jnp.array([2.0, 0.0]))) is reached
-
-
 def test_a_reward_that_is_not_a_number_stays_one() -> None:
     # A comparison with NaN is false: the sparse reward must not turn NaN into the safe constant.
     assert bool(jnp.isnan(goal_reward(jnp.float32(jnp.nan), -2.0, "sparse", 0.5)))

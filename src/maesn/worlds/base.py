@@ -114,10 +114,8 @@ class AbstractWorld(ABC):
     tasks: TaskSet
     """The tasks that can be played."""
 
-    @property
-    def max_simulations(self) -> int | None:
-        """Largest number of simulations to play at once; None for any number."""
-        return None
+    max_simulations: int | None = None
+    """Largest number of simulations to play at once; None for any number."""
 
     @abstractmethod
     def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:

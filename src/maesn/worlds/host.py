@@ -47,12 +47,9 @@ class HostWorld(AbstractWorld):
         self.env = env
         self.tasks = tasks
         self.stepper = stepper
+        self.max_simulations = stepper.max_simulations
         self._camera: _Camera | None = None
         self.pictures: list[list[UInt8[np.ndarray, "height width 3"]]] = []
-
-    @property
-    def max_simulations(self) -> int | None:
-        return self.stepper.max_simulations
 
     def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:
         """Play with an `act` that the caller has compiled."""
