@@ -278,5 +278,5 @@ def test_tasks_that_it_cannot_learn_from_are_refused(settings: Any, message: str
 
 
 def test_batches_that_it_cannot_learn_from_are_refused() -> None:
-    with pytest.raises(ValueError, match="only 1 trials, 1 in each of 1 tasks, for 2 minibatches"):
+    with pytest.raises(ValueError, match="minibatches` is 2, but a meta-iteration has only 1"):
         small(meta_batch_size=1).check_batch(1)

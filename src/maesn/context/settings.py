@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import Key
 from maesn.context.values import AbstractContext, Bias, Latent, Nothing, TaskDescription
 from maesn.numerics import DiagonalGaussian
-from maesn.settings import check_choice
+from maesn.settings import check_choice, check_number
 
 Value = TypeVar("Value", bound=AbstractContext)
 
@@ -118,8 +118,7 @@ class BiasContext(AbstractContextSettings[Bias]):
     """Number of components of the bias. Reference: 8 on ant."""
 
     def __check_init__(self) -> None:
-        if self.size < 0:
-            raise ValueError(f"`size` of BiasContext must be at least 0, got {self.size}.")
+        check_number("size", self.size, 0)
 
     @property
     def is_pathwise(self) -> bool:
@@ -162,13 +161,10 @@ class LatentContext(AbstractContextSettings[Latent]):
     """Estimator of the inner gradient of the latent. Reference: likelihood ratio."""
 
     def __check_init__(self) -> None:
-        if self.size < 1:
-            raise ValueError(f"`size` of LatentContext must be at least 1, got {self.size}.")
+        check_number("size", self.size, 1)
         check_choice("gradient", self.gradient, LatentGradient)
-        if not self.kl_weight >= 0:
-            raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
-        if not self.initial_spread >= 0:
-            raise ValueError(f"`initial_spread` must be at least 0, got {self.initial_spread}.")
+        check_number("kl_weight", self.kl_weight, 0)
+        check_number("initial_spread", self.initial_spread, 0)
 
     @property
     def is_pathwise(self) -> bool:

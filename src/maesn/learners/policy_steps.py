@@ -139,8 +139,7 @@ class ProximalStep(AbstractPolicyStep):
     def __check_init__(self) -> None:
         if not 0 < self.clip < 1:
             raise ValueError(f"`clip` must lie in (0, 1), got {self.clip}.")
-        if not self.entropy_weight >= 0:
-            raise ValueError(f"`entropy_weight` must be at least 0, got {self.entropy_weight}.")
+        check_number("entropy_weight", self.entropy_weight, 0)
 
     @property
     def minibatches(self) -> int:

@@ -1,7 +1,5 @@
 """A recurrent network: encoder, gated recurrent units, readout."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -56,15 +54,6 @@ class RecurrentNetwork(eqx.Module):
         for layer in self.encoder:
             x = jax.nn.relu(layer(x))
         return x
-
-
-def check_sizes(settings: Any) -> None:
-    """Refuse settings of a recurrent network with sizes below 1, by `ValueError`."""
-    for name in ("encoder_sizes", "readout_sizes"):
-        if any(size < 1 for size in getattr(settings, name)):
-            raise ValueError(f"`{name}` must be positive, got {getattr(settings, name)}.")
-    if settings.hidden_size < 1:
-        raise ValueError(f"`hidden_size` must be at least 1, got {settings.hidden_size}.")
 
 
 def init_recurrent_network(

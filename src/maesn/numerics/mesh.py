@@ -72,6 +72,15 @@ def num_devices() -> int:
     return 1 if mesh is None else mesh.size
 
 
+def refuse_sharing(method: str) -> None:
+    """Refuse by ValueError several devices for a method that learns on one."""
+    if num_devices() > 1:
+        raise ValueError(
+            f"`{method}` learns on one device, but {num_devices()} share the tasks: train it "
+            "without sharing."
+        )
+
+
 def own_slots(rows: Tree) -> Tree:
     """Select the rows of the task slots that this process plays from the rows of all slots."""
     mesh = _mesh.get()

@@ -97,11 +97,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             )
 
     def init(self, key: Key, problem: Problem) -> GradientState:
-        """See `AbstractMetaLearner.init`.
-
-        Raises:
-            ValueError: the training set holds fewer tasks than one meta-batch.
-        """
         check_enough_tasks(problem.num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
         table = self.context.init(context_key, problem.num_tasks, problem.description_size)
@@ -116,9 +111,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             statistics = no_observations(problem.observation_size)
         opt_state = self.outer.init(parameters)
         return GradientState(parameters, jnp.zeros((), int), statistics, opt_state)
-
-    def iteration(self, state: GradientState) -> Int[Array, ""]:
-        return state.iteration
 
     def weights(self, state: GradientState) -> Any:
         return state.parameters, state.statistics
@@ -139,7 +131,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return replace(self, policy=self.policy.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
-        """See `AbstractMetaLearner.check_batch`: the inner update must be able to move."""
+        """The inner update must be able to move."""
         check_split(self.meta_batch_size)
         needed = self.adaptation.at(0).least_episodes(self.context) if self.inner_updates else 1
         Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
