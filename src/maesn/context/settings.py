@@ -71,41 +71,32 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
         return jnp.zeros(())
 
 
-class NoContext(AbstractContextSettings[Nothing]):
-    """No context: the policy sees observations alone."""
+class _FixedContext(AbstractContextSettings[Value]):
+    """Nothing in it is learned or adapted: every task starts from the table as it is."""
 
     @property
     def is_adaptable(self) -> bool:
         return False
+
+    def start(self, table: Value, task_index: Int[Array, " task"]) -> Value:
+        return table
+
+    def start_new(self, table: Value, num_tasks: int) -> Value:
+        return table
+
+
+class NoContext(_FixedContext[Nothing]):
+    """No context: the policy sees observations alone."""
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Nothing:
         return Nothing()
 
-    def start(self, table: Nothing, task_index: Int[Array, " task"]) -> Nothing:
-        return table
 
-    def start_new(self, table: Nothing, num_tasks: int) -> Nothing:
-        return table
-
-
-class OracleContext(AbstractContextSettings[TaskDescription]):
-    """The task itself: the policy sees the description of its task.
-
-    Nothing in it is learned or adapted, and it has no penalty.
-    """
-
-    @property
-    def is_adaptable(self) -> bool:
-        return False
+class OracleContext(_FixedContext[TaskDescription]):
+    """The task itself: the policy sees the description of its task, without a penalty."""
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> TaskDescription:
         return TaskDescription(description_size)
-
-    def start(self, table: TaskDescription, task_index: Int[Array, " task"]) -> TaskDescription:
-        return table
-
-    def start_new(self, table: TaskDescription, num_tasks: int) -> TaskDescription:
-        return table
 
 
 class BiasContext(AbstractContextSettings[Bias]):

@@ -24,9 +24,16 @@ from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import ReturnPrior
-from maesn.search.archive import adapted_latents, drawn_latents, latent_of
 from maesn.search.calibration import EPISODES, calibrated
-from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
+from maesn.search.learner import latent_of
+from maesn.search.prior import (
+    USUAL,
+    PriorSettings,
+    Progress,
+    adapted_latents,
+    drawn_latents,
+    make_prior,
+)
 from maesn.storage import RunError, read_json_lines, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector

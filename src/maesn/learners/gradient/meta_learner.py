@@ -17,12 +17,11 @@ from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContextSettings
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, concatenate
-from maesn.inner.adaptation import Adaptation, StepSchedule
-from maesn.inner.advantage import AdvantageEstimator
+from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
+from maesn.inner.advantage import AdvantageEstimator, Advantages
 from maesn.learners.fast import Capabilities
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
-from maesn.learners.gradient.inner_update import adapt, estimate
 from maesn.learners.gradient.objective import (
     Experience,
     MetaObjective,
@@ -172,10 +171,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         for phase in range(self.inner_updates):
             keys = task_keys(play_key, phase, self.meta_batch_size)
             episodes = collect(keys, agents, index, stage=phase)
-            advantages = estimate(self.advantage, episodes)
-            sizes = parameters.step_sizes
-            agents = adapt(adaptation, self.context, agents, sizes, episodes, advantages)
-            pre.append((episodes, advantages))
+            pre.append((episodes, self._advantages(episodes)))
+            agents = self._adapted(adaptation, agents, parameters.step_sizes, pre[-1])
             updated.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
         objective = MetaObjective(
@@ -184,7 +181,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             index,
             tuple(pre),
             post,
-            estimate(self.advantage, post),
+            self._advantages(post),
             state.statistics,
         )
         return self._improve(state, objective, tuple(updated), curvature_key)
@@ -220,25 +217,30 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _improve(
         self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
     ) -> tuple[GradientState, GradientInfo]:
-        """Do the outer step. Beyond this point only the meta-parameters vary.
-
-        Args:
-            state: the state before the step.
-            objective: the objective on the episodes of this meta-iteration.
-            updated: the agents after each inner update, `objective.updated(parameters)`.
-            key: of the outer step.
-        """
-        shared, rows = objective.parts()
-        common, own = (
-            zip(*(agents.parts() for agents in updated), strict=True) if updated else ((), ())
-        )
-        (after, info), _ = over_tasks(self._improved, (state, key, shared, common), (rows, own))
+        """Do the outer step. Beyond this point only the meta-parameters vary."""
+        parts = [agents.parts() for agents in updated]
+        common, own = tuple(common for common, _ in parts), tuple(own for _, own in parts)
+        shared = state, key, objective.adaptation, common
+        (after, info), _ = over_tasks(self._improved, shared, (objective.rows, own))
         return after, info
 
+    def _advantages(self, episodes: Episodes) -> Advantages:
+        advantages: Advantages
+        _, advantages = over_tasks(_estimate, self.advantage, episodes)
+        return advantages
+
+    def _adapted(
+        self, adaptation: Adaptation, agents: Agents, sizes: StepSizes, experience: Experience
+    ) -> Agents:
+        """Return the agents after one inner update."""
+        common, own = agents.parts()
+        _, own = over_tasks(_adapt, (adaptation, self.context, sizes, common), (own, *experience))
+        return Agents.of_parts(common, own)
+
+    # `over_tasks` runs the following.
     def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
-        """Do the outer step on this device's tasks."""
-        state, key, common, common_agents = shared
-        objective = MetaObjective.of_parts(common, rows[0])
+        state, key, adaptation, common_agents = shared
+        objective = MetaObjective(self.context, adaptation, *rows[0], state.statistics)
         updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
         parameters = state.parameters
         improved, opt_state, step = self.outer(key, parameters, state.opt_state, objective, updated)
@@ -248,3 +250,15 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             replace(improved, policy=policy), done, objective.statistics_after(), opt_state
         )
         return (after, describe_step(objective, parameters, improved, step)), None
+
+
+# `over_tasks` runs these. All that they return has a row per task, so their shared result is None.
+def _estimate(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
+    return None, estimator.of_tasks(episodes)
+
+
+def _adapt(shared: Any, rows: Any) -> tuple[None, Any]:
+    adaptation, context, sizes, common = shared
+    own, episodes, advantages = rows
+    agents = Agents.of_parts(common, own)
+    return None, adaptation(agents, sizes, context, episodes, advantages).parts()[1]

@@ -215,7 +215,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
         noise_key, learn_key = jax.random.split(key)
         policy, decoder = state.networks.policy, state.networks.decoder
         after = jax.tree.map(lambda x: x[:, 1:], beliefs)
-        m = after.sample(noise_key)
+        m = after.sample_from_noise(after.noise(noise_key, after.mean.shape))
 
         def error(m: Array, step: Steps) -> Float[Array, ""]:
             one = jax.tree.map(lambda x: x[None], step)
