@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maesn.runtime.acting import Actor
+from maesn.runtime.acting import Actor, Limiter
 from maesn.runtime.arrays import FloatArray, finite_vector
 from maesn.runtime.episode import Episode
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.learning import AdaptationInfo, learned, surprise
-from maesn.runtime.limiter import Limiter
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import Beliefs
 from maesn.runtime.state import ExplorerState
