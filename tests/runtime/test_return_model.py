@@ -305,3 +305,8 @@ def test_moments_are_those_of_the_mixture() -> None:
     np.testing.assert_allclose(found.mean, mean, rtol=1e-12)
     np.testing.assert_allclose(found.covariance, second - np.outer(mean, mean), rtol=1e-9)
     np.testing.assert_array_equal(found.noise, model.noise(points))
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+def test_a_latent_at_an_infinite_distance_tells_nothing() -> None:
+    assert matern(np.zeros((1, 2)), np.full((1, 2), 1e200), 1.0) == 0

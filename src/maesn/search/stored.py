@@ -1,11 +1,9 @@
 """The prior over returns of a run, made once and kept beside its checkpoints."""
 
 import dataclasses
-import datetime
 import json
 import logging
 import math
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -51,7 +49,6 @@ _ANOTHER = {
 _SEARCHES = np.uint32(2**32 - 3)  # folded into the key of the searches that calibrate
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 _STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
-_SECONDS_BETWEEN_LINES = 10.0  # of progress in a log file
 
 
 def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
@@ -222,42 +219,11 @@ def _speed(run: Run) -> float:
 
 @contextmanager
 def played_live() -> Iterator[Progress]:
-    """Show how much of an archive has been played, and the time left.
-
-    A terminal shows a bar; a log file gets a line every ten seconds, and one at the end.
-    """
+    """Show on a terminal how much of an archive has been played, and the time left."""
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _Lines(console)
-        return
-    with ProgressBar(console=console, transient=True) as bar:
+    with ProgressBar(console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task("latents played", total=None)
         yield lambda played, of: bar.update(shown, completed=played, total=of)
-
-
-class _Lines:
-    """Progress in lines of text. The first batch also compiles: the speed is that of the others."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._begun: tuple[float, int] | None = None
-        self._said = 0.0
-
-    def __call__(self, played: int, of: int) -> None:
-        now = time.monotonic()
-        if self._begun is None:
-            self._begun, self._said = (now, played), now
-        begun, before = self._begun
-        if played == of:
-            self._say(f"all {of:,}")
-        elif now - self._said >= _SECONDS_BETWEEN_LINES:
-            seconds = (now - begun) * (of - played) / (played - before)
-            left = datetime.timedelta(seconds=round(seconds))
-            self._say(f"{played:,} of {of:,}, {left} left")
-            self._said = now
-
-    def _say(self, text: str) -> None:
-        self._console.print(f"latents played: {text}", highlight=False, soft_wrap=True)
 
 
 def bound_to(run: Run, state: Any, world: AbstractWorld, action_noise: bool) -> dict[str, str]:
