@@ -45,7 +45,8 @@ class ExportedSearch:
 
     def metadata(self) -> dict[str, Any]:
         """Return the other values to save in a file."""
-        numbers = {name: getattr(self.prior, name) for name in PRIOR_NUMBERS}
+        found = ((name, getattr(self.prior, name)) for name in PRIOR_NUMBERS)
+        numbers = {name: list(value) if np.ndim(value) else value for name, value in found}
         return numbers | {"horizon": self.horizon, "settings": asdict(self.settings)}
 
     @staticmethod
