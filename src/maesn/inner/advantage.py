@@ -96,7 +96,6 @@ class AdvantageEstimator(eqx.Module):
     def _fitted_values(
         self, episodes: Episodes, returns: Float[Array, "episode time"]
     ) -> Float[Array, "episode time"]:
-        """Return the linear baseline's prediction of the discounted return at every step."""
         features = _features(episodes.observation[:, : returns.shape[1]], episodes.valid)
         rows = features.reshape(-1, features.shape[-1])
         weight = episodes.valid.reshape(-1).astype(rows.dtype)

@@ -51,3 +51,10 @@ class GaussianMLP(AbstractPolicySettings):
         sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
         log_std = initial_log_std(action_size, self.initial_std)
         return GaussianMLPPolicy(init_mlp(key, sizes), log_std)
+
+
+USUAL: dict[ActionKind, AbstractPolicySettings] = {
+    "continuous": GaussianMLP(),
+    "discrete": CategoricalMLP(),
+}
+"""The usual feed-forward policy for each kind of actions."""

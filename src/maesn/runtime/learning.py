@@ -76,7 +76,6 @@ def _refuse_fewer(needed: int, found: int) -> None:
 
 
 def _policy_gradient_step(state: ExplorerState, rule: LearningRule) -> Latent:
-    """Return the latent after one policy-gradient step."""
     advantage = episode_advantages(
         [episode.observations for episode in state.episodes],
         [episode.rewards for episode in state.episodes],

@@ -104,7 +104,6 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     def _propose(
         self, searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
     ) -> SearchState:
-        """Return the state in which each search has chosen the points to play next."""
         own = copy.deepcopy(tuple(generators))  # those of the state before stay as they are
         pairs = zip(searches, own, strict=True)
         # A search may have added points that it proposes.

@@ -192,7 +192,6 @@ def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
 
 
 def _command(run: Run, env: AnyEnv, action_noise: bool) -> str:
-    """Return the command that makes the prior of a run for an environment's reward."""
     command = f"maesn prior {run.typed}"
     if action_noise:
         command += " --action-noise True"

@@ -82,7 +82,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         self.outer.check_policy(self.policy)
 
     def _check_adaptation(self) -> None:
-        """Refuse inner steps that could not move anything."""
         moved = self.adaptation.policy, self.adaptation.context
         if self.adaptation.context is not None and not self.context.is_adaptable:
             raise ValueError(
@@ -202,7 +201,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _play_outer(
         self, key: Key, agents: Agents, index: Int[Array, " task"], collect: Collect
     ) -> Episodes:
-        """Collect the episodes that the outer step learns from."""
         keys = [
             task_keys(key, self.inner_updates + batch, self.meta_batch_size)
             for batch in range(self.outer_batches)
@@ -232,7 +230,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _adapted(
         self, adaptation: Adaptation, agents: Agents, sizes: StepSizes, experience: Experience
     ) -> Agents:
-        """Return the agents after one inner update."""
         common, own = agents.parts()
         _, own = over_tasks(_adapt, (adaptation, self.context, sizes, common), (own, *experience))
         return Agents.of_parts(common, own)

@@ -184,7 +184,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
     def _visit(
         self, key: Key, networks: Networks, replay: Replay, collect: Collect
     ) -> tuple[Replay, list[Episodes]]:
-        """Play all batches of `visited_tasks` tasks."""
         task_key, play_key, context_key = jax.random.split(key, 3)
         tasks = draw_tasks(task_key, collect.num_tasks, self.visited_tasks)
         played: list[Episodes] = []
@@ -204,7 +203,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
     def _posterior(
         self, encoder: ContextEncoder, replay: Replay, tasks: Int[Array, " task"], key: Key
     ) -> Latent:
-        """Return the posteriors of some tasks, from a draw of their contexts."""
         drawn = replay.sample_context(key, tasks, self.encoder.context_size)
         context = drawn.context(self.encoder.next_observation)
         return jax.vmap(encoder)(context, jnp.ones(context.shape[:2], bool)).posterior()

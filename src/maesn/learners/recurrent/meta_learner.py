@@ -146,7 +146,6 @@ class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, Recurren
 
     @staticmethod
     def _seen(state: RecurrentMetaState, trials: Trials) -> Trials:
-        """Return trials with the inputs that the policy's network reads."""
         return replace(trials, inputs=state.policy.seen(trials.inputs))
 
 

@@ -209,7 +209,6 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     def _bonus(
         self, key: Key, state: VaribadState, steps: Steps, beliefs: DiagonalGaussian, trials: Trials
     ) -> tuple[Float[Array, "trial time"], BonusState | None]:
-        """Return the bonus of every step, and the state of the bonus after it."""
         if state.bonus is None:
             return jnp.zeros_like(trials.reward), None
         noise_key, learn_key = jax.random.split(key)

@@ -117,6 +117,5 @@ def _learn(curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState) ->
 
 
 def _update_keys(keys: TaskKeys, update: Int[Array, ""]) -> Any:
-    """Return two keys per task for one update, `[task, 2]`."""
     folded = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, update)
     return jax.vmap(jax.random.split)(folded)
