@@ -75,11 +75,8 @@ def init_recurrent_network(
     encoder = init_mlp(encoder_key, sizes).layers if encoder_sizes else ()
     beside = 0 if hyper else hidden_size
     readout = init_mlp(readout_key, (sizes[-1] + beside, *readout_sizes, outputs))
-    last = eqx.tree_at(lambda layer: layer.weight, readout.layers[-1], replace_fn=_shrink)
-    readout = MLP((*readout.layers[:-1], last))
+    last = readout.layers[-1]
+    small = Linear(OUTPUT_SCALE * last.weight, last.bias)
+    readout = MLP((*readout.layers[:-1], small))
     gru = init_gru(gru_key, sizes[-1], hidden_size)
     return RecurrentNetwork(encoder, gru, hyper_mlp(readout, hidden_size) if hyper else readout)
-
-
-def _shrink(weight: Array) -> Array:
-    return OUTPUT_SCALE * weight
