@@ -185,13 +185,13 @@ def fine_tuned(
 
 
 def with_curiosity(
-    learner: AbstractFastLearner[Any], curiosity: CuriosityBonus, *sizes: int
+    learner: AbstractFastLearner[Any],
+    curiosity: CuriosityBonus,
+    observation_size: int,
+    action_size: int,
 ) -> AbstractFastLearner[Any]:
-    """Return a learner that also gets a bonus for what it finds out, as in VIME.
-
-    The sizes are those of an observation and an action.
-    """
-    return BonusFastLearner(learner, curiosity, *sizes)
+    """Return a learner that also gets a bonus for what it finds out, as in VIME."""
+    return BonusFastLearner(learner, curiosity, observation_size, action_size)
 
 
 PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {

@@ -46,13 +46,12 @@ class MixedPosterior:
         `familiar` is the probability of a task like a training task; the other two hypotheses share
         the rest. If it is certain, it stands alone.
         """
-        models, probabilities = (model,), (1.0,)
+        models, probabilities = [model], [familiar]
         if familiar < 1.0:
-            other = (1.0 - familiar) / 2.0
-            models = (model, model.shifted(), model.unlike())
-            probabilities = (familiar, other, other)
+            models += [model.shifted(), model.unlike()]
+            probabilities += [(1.0 - familiar) / 2.0] * 2
         parts = tuple(Posterior.of_prior(one, model.archive) for one in models)
-        return MixedPosterior(parts, probabilities)
+        return MixedPosterior(parts, tuple(probabilities))
 
     @property
     def points(self) -> FloatArray:

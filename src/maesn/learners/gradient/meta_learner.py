@@ -237,7 +237,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     # `over_tasks` runs the following.
     def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
         state, key, adaptation, common_agents = shared
-        objective = MetaObjective(self.context, adaptation, *rows[0], state.statistics)
+        objective = MetaObjective(self.context, adaptation, *rows[0], statistics=state.statistics)
         updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
         parameters = state.parameters
         improved, opt_state, step = self.outer(key, parameters, state.opt_state, objective, updated)

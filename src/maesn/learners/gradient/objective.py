@@ -202,4 +202,4 @@ class MetaObjective(eqx.Module):
     def _alone(self, row: tuple[Any, ...]) -> "MetaObjective":
         """Return the objective of a single task, from its row of `rows`."""
         rows = jax.tree.map(lambda x: x[None], row)
-        return MetaObjective(self.context, self.adaptation, *rows, self.statistics)
+        return MetaObjective(self.context, self.adaptation, *rows, statistics=self.statistics)
