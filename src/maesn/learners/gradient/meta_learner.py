@@ -236,9 +236,12 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     # `over_tasks` runs the following.
     def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
-        state, key, adaptation, common_agents = shared
-        objective = MetaObjective(self.context, adaptation, *rows[0], statistics=state.statistics)
-        updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
+        state, key, adaptation, common = shared
+        (index, pre, post, advantages), own = rows
+        objective = MetaObjective(
+            self.context, adaptation, index, pre, post, advantages, state.statistics
+        )
+        updated = tuple(map(Agents.of_parts, common, own))
         parameters = state.parameters
         improved, opt_state, step = self.outer(key, parameters, state.opt_state, objective, updated)
         done = state.iteration + 1

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -201,5 +202,5 @@ class MetaObjective(eqx.Module):
 
     def _alone(self, row: tuple[Any, ...]) -> "MetaObjective":
         """Return the objective of a single task, from its row of `rows`."""
-        rows = jax.tree.map(lambda x: x[None], row)
-        return MetaObjective(self.context, self.adaptation, *rows, statistics=self.statistics)
+        index, pre, post, advantages = jax.tree.map(lambda x: x[None], row)
+        return replace(self, index=index, pre=pre, post=post, advantages=advantages)
