@@ -21,9 +21,6 @@ class CategoricalMLPPolicy(AbstractPolicy):
         logits = self.mlp(jnp.concatenate([policy_input.observation, z]))
         return Categorical(logits), recurrent_state
 
-    def initial_recurrent_state(self) -> RecurrentState:
-        return None
-
     @property
     def action_kind(self) -> ActionKind:
         return "discrete"

@@ -24,9 +24,6 @@ class GaussianMLPPolicy(AbstractPolicy):
         mean = self.mlp(jnp.concatenate([policy_input.observation, z]))
         return gaussian(mean, self.log_std), recurrent_state
 
-    def initial_recurrent_state(self) -> RecurrentState:
-        return None
-
 
 class GaussianMLP(AbstractPolicySettings):
     """Settings of `GaussianMLPPolicy`."""

@@ -6,7 +6,6 @@ from maesn.rules.base import Budget as Budget
 from maesn.rules.base import Trained as Trained
 from maesn.rules.prescribed import FixedAgents as FixedAgents
 from maesn.rules.prescribed import GradientRule as GradientRule
-from maesn.rules.prescribed import MemoryRule as MemoryRule
 from maesn.rules.prescribed import NoAdaptation as NoAdaptation
 from maesn.rules.search import SearchRule as SearchRule
 from maesn.rules.search import StationaryRule as StationaryRule
