@@ -91,7 +91,6 @@ from maesn.rules import AbstractRule as AbstractRule
 from maesn.rules import AbstractWrapper as AbstractWrapper
 from maesn.rules import Budget as Budget
 from maesn.rules import GradientRule as GradientRule
-from maesn.rules import MemoryRule as MemoryRule
 from maesn.rules import NoAdaptation as NoAdaptation
 from maesn.rules import SearchRule as SearchRule
 from maesn.rules import ThenReinforce as ThenReinforce

@@ -39,7 +39,9 @@ def check_choice(name: str, value: str, choices: Any) -> None:
         raise ValueError(f"`{name}` must be {known}, got {value!r}.")
 
 
-def check_number(name: str, value: int | None, least: int, most: int = LARGEST_COUNT) -> None:
+def check_number(
+    name: str, value: int | float | None, least: int, most: int = LARGEST_COUNT
+) -> None:
     """Refuse by ValueError a number outside of a range; None is never refused."""
     if value is not None and not least <= value <= most:
         bound = f"at least {least}" if value < least else f"at most {most}"
@@ -52,6 +54,13 @@ def check_positive(settings: Any, *names: str) -> None:
         value = getattr(settings, name)
         if value is not None and not 0 < value < math.inf:
             raise ValueError(f"`{name}` must be positive and finite, got {value}.")
+
+
+def check_sizes(settings: Any, *names: str) -> None:
+    """Refuse by ValueError widths of layers that are not positive."""
+    for name in names:
+        if any(size < 1 for size in getattr(settings, name)):
+            raise ValueError(f"`{name}` must be positive, got {getattr(settings, name)}.")
 
 
 def check_numbers(settings: Any, **least: int) -> None:

@@ -78,8 +78,8 @@ def _vector(stream: random.Random, size: int) -> Any:
 def _safeguards(stream: random.Random) -> Safeguards | None:
     if stream.random() < 0.3:
         return None
-    names = ["lower", "upper", "max_change", "rest", "max_latent_norm", "max_return_drop"]
-    usual = [-0.05, 0.05, 0.02, 0.0, 1.5, 3.0]
+    names = ["lower", "upper", "max_change", "rest", "max_latent_norm"]
+    usual = [-0.05, 0.05, 0.02, 0.0, 1.5]
     chosen = {
         name: value for name, value in zip(names, usual, strict=True) if stream.random() < 0.4
     }

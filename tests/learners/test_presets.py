@@ -26,7 +26,7 @@ from maesn.learners import (
     Problem,
 )
 from maesn.learners.gradient.outer import TrustRegionOuterStep
-from maesn.learners.presets import staged_adaptation
+from maesn.learners.recommended import with_setting
 from maesn.policies import GaussianMLP
 
 TASKS, META_BATCH, STEPS = 7, 3, 4
@@ -186,8 +186,8 @@ def test_latents_that_were_not_played_stay(preset: str) -> None:
 
 
 def test_the_stage_of_theta_changes_nothing_at_once_and_then_learns() -> None:
-    joining = PRESETS["maesn_theta"](**SMALL, adaptation=staged_adaptation(first_iteration=1))
     waiting = PRESETS["maesn_theta"](**SMALL)
+    joining = with_setting(waiting, "adaptation.policy.first_iteration", 1)
     collect, states = AnalyticCollect(TASKS), []
     state = waiting.init(jax.random.key(0), Problem(OBSERVATION, ACTION, TASKS))
     state, _ = waiting.step(jax.random.key(0), state, collect)

@@ -109,7 +109,7 @@ def of_trials(learner: RecurrentMetaLearner) -> dict[str, np.ndarray]:
     problem = make_problem(2, UNEQUAL, latent=0)
     episodes = tuple(stack([problem.batches(phase)[row] for row in ROWS]) for phase in range(2))
     state = learner.init(jax.random.key(0), Problem(OBSERVATION, ACTION, len(ROWS)))
-    after, info = learner._improve(jax.random.key(1), state, episodes)
+    after, info = learner.improved(jax.random.key(1), state, episodes)
     moved = jax.tree.map(
         jnp.subtract, (after.policy, after.value.network), (state.policy, state.value.network)
     )

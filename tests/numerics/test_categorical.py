@@ -66,7 +66,8 @@ def test_fisher_product_is_the_hessian_of_the_divergence() -> None:
 def test_samples_are_one_hot_and_occur_as_often_as_they_should() -> None:
     count = 100_000
     logits = jnp.broadcast_to(jnp.asarray(LOGITS[0]), (count, 4))
-    drawn = np.asarray(Categorical(logits).sample(jax.random.key(0)))
+    noise = Categorical.noise(jax.random.key(0), logits.shape)
+    drawn = np.asarray(Categorical(logits).sample_from_noise(noise))
     assert set(np.unique(drawn)) == {0.0, 1.0}
     np.testing.assert_array_equal(drawn.sum(-1), 1.0)
     p = probabilities(LOGITS[0])

@@ -56,7 +56,7 @@ def test_adapt_tells_what_it_did_and_forgets_the_episodes(policy: Path) -> None:
     play(explorer, 4, constant(2.0))
     info = explorer.adapt()
     assert info.mean_return == pytest.approx(2.0 * STEPS)
-    assert (info.num_episodes, info.rolled_back, info.shortened) == (4, False, False)
+    assert (info.num_episodes, info.shortened) == (4, False)
     assert (explorer.update, explorer.episodes) == (1, ())
 
 

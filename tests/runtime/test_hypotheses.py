@@ -7,7 +7,7 @@ import pytest
 from runtime.test_return_model import model_of, random_prior, random_readings
 from scipy.stats import multivariate_normal, norm
 
-from maesn.runtime.hypotheses import Hypotheses, MixedPosterior, normal_cdf
+from maesn.runtime.hypotheses import MixedPosterior, normal_cdf
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
 from maesn.runtime.search import LatentSearch
@@ -17,7 +17,7 @@ FAMILIAR = 0.7
 
 
 def believed(model: ReturnModel, readings: list[Reading]) -> MixedPosterior:
-    posterior = MixedPosterior.of_prior(Hypotheses.around(model, FAMILIAR), model.archive)
+    posterior = MixedPosterior.of_prior(model, FAMILIAR)
     for reading in readings:
         posterior = posterior.conditioned(reading)
     return posterior
@@ -31,8 +31,11 @@ def test_hypotheses_are_weighed_by_the_density_of_all_readings(seed: int) -> Non
     length = np.array([one.length for one in readings])
     values = np.array([one.episode_return for one in readings])
     at, densities = model.archive[points], []
-    hypotheses = Hypotheses.around(model, FAMILIAR)
-    for one, probability in zip(hypotheses.models, hypotheses.probabilities, strict=True):
+    for one, probability in (
+        (model, FAMILIAR),
+        (model.shifted(), (1 - FAMILIAR) / 2),
+        (model.unlike(), (1 - FAMILIAR) / 2),
+    ):
         covariance = (
             one.covariance(at, at)
             + one.prior.offset_std**2 * np.outer(length, length)
@@ -55,8 +58,8 @@ def test_hypotheses_are_weighed_by_the_density_of_all_readings(seed: int) -> Non
 
 
 def test_a_certain_search_has_one_hypothesis() -> None:
-    model = model_of(random_prior(0))
-    assert Hypotheses.around(model, 1.0) == Hypotheses((model,), (1.0,))
+    alone = MixedPosterior.of_prior(model_of(random_prior(0)), 1.0)
+    assert (len(alone.parts), alone.familiar) == (1, 1.0)
 
 
 def test_the_normal_distribution_function_is_scipys() -> None:

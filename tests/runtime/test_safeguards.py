@@ -1,4 +1,4 @@
-"""Limits on what is executed, the bound on the latent, and taking updates back."""
+"""Limits on what is executed, and the bound on the latent."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runtime.robot import STEPS, constant, contents, observations, play, towards
+from runtime.robot import STEPS, contents, observations, play, towards
 
 from maesn.runtime import Explorer, Safeguards
 
@@ -70,39 +70,6 @@ def test_the_latent_s_norm_is_bounded(policy: Path) -> None:
     np.testing.assert_array_equal(held.latent_std, free.latent_std)
 
 
-def falling(policy: Path, drop: float | None, returns: list[float]) -> list[Any]:
-    """Latents and reports of batches with the given mean rewards per step."""
-    explorer = Explorer.load(policy, seed=2, safeguards=Safeguards(max_return_drop=drop))
-    seen = [(explorer.latent_mean.tolist(), False, 0)]
-    for reward in returns:
-        play(explorer, 4, constant(reward))
-        info = explorer.adapt()
-        assert explorer.episodes == ()
-        seen.append((explorer.latent_mean.tolist(), info.rolled_back, explorer.update))
-    return seen
-
-
-def test_rollback_restores_the_latent_and_counts_on(policy: Path) -> None:
-    start, first, second, third = falling(policy, 1.0, [1.0, 0.5, 0.0])
-    assert [entry[1] for entry in (first, second, third)] == [False, True, False]
-    assert first[0] != start[0]
-    assert second[0] == start[0]
-    assert third[0] != start[0]  # after a restored latent there is always an update
-    assert [entry[2] for entry in (first, second, third)] == [1, 2, 3]
-
-
-def test_rollback_goes_one_update_back_only(policy: Path) -> None:
-    _, first, second, third = falling(policy, 1.0, [1.0, 2.0, 0.0])
-    assert [entry[1] for entry in (first, second, third)] == [False, False, True]
-    assert third[0] == first[0] != second[0]
-
-
-@pytest.mark.parametrize(("drop", "rolls_back"), [(None, False), (2.6, False), (2.4, True)])
-def test_rollback_tolerates_a_drop(policy: Path, drop: float | None, rolls_back: bool) -> None:
-    fallen = falling(policy, drop, [1.0, 0.5])[-1]  # the returns are 5 and 2.5
-    assert fallen[1] == rolls_back
-
-
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -115,7 +82,6 @@ def test_rollback_tolerates_a_drop(policy: Path, drop: float | None, rolls_back:
         *[({"rest": value}, "`rest` must be finite") for value in (math.inf, (0.0, -math.inf))],
         ({"lower": math.nan}, "`lower` must"),
         ({"max_latent_norm": -1.0}, "`max_latent_norm` must"),
-        ({"max_return_drop": math.nan}, "`max_return_drop` must"),
     ],
 )
 def test_senseless_safeguards_are_refused(

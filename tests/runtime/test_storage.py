@@ -11,9 +11,7 @@ from runtime.robot import contents, observations, play, towards
 
 from maesn.runtime import Explorer, Safeguards
 
-SAFEGUARDS = Safeguards(
-    lower=(-0.5, -0.4), max_change=0.3, max_latent_norm=0.7, max_return_drop=50.0
-)
+SAFEGUARDS = Safeguards(lower=(-0.5, -0.4), max_change=0.3, max_latent_norm=0.7)
 
 
 def in_the_middle(policy: Path) -> Explorer:
@@ -53,7 +51,6 @@ def test_a_loaded_explorer_goes_on_exactly(policy: Path, tmp_path: Path) -> None
     assert contents(loaded) == contents(explorer) == before
     assert loaded.safeguards == SAFEGUARDS
     shown = go_on(explorer)
-    assert shown[5][2]  # the last update was a rollback, so that its memory was needed
     assert_equal(go_on(loaded), shown)
 
 

@@ -27,7 +27,7 @@ from maesn.runs.run import Run
 from maesn.runtime import Explorer, facts
 from maesn.search.calibration import EPISODES
 from maesn.search.prior import PriorSettings
-from maesn.search.stored import played_live, read_prior, run_prior
+from maesn.search.stored import read_prior, run_prior
 from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 from maesn.worlds.device import DeviceWorld
@@ -115,7 +115,7 @@ def test_tasks_do_not_depend_on_how_many_there_are(trained: Path, few: str, tmp_
 
 
 def test_a_missing_prior_is_made_and_said(
-    few: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+    few: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     learner = latent_space(policy=GaussianMLP((8,)), meta_batch_size=2)
     run = Run.create(tmp_path / "run", learner, tiny_settings())
@@ -127,23 +127,10 @@ def test_a_missing_prior_is_made_and_said(
     assert f"`{path}` is missing." in caplog.text
     assert f"{steps:,} environment steps" in caplog.text
     latents = read_prior(path)[0].latents
-    assert f"latents played: all {len(latents)}" in capsys.readouterr().err
     # The cheaper command works as printed.
     command = caplog.text.split("type: maesn ")[1].splitlines()[0]
     assert cli.run(shlex.split(command)) == 0
     assert len(read_prior(path)[0].latents) == 100 < len(latents)
-
-
-def test_progress_in_a_log_file_says_the_time_left(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    clock = iter([0.0, 5.0, 20.0, 90.0])
-    monkeypatch.setattr("maesn.search.stored.time.monotonic", lambda: next(clock))
-    with played_live() as progress:
-        for played in (100, 150, 300, 1000):
-            progress(played, 1000)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines == ["latents played: 300 of 1,000, 0:01:10 left", "latents played: all 1,000"]
 
 
 def test_a_method_that_also_moves_its_weights_searches_with_those_of_training(

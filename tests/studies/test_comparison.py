@@ -11,8 +11,7 @@ from maesn import cli
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import oracle
-from maesn.policies import GaussianMLP
-from maesn.policies.usual import USUAL
+from maesn.policies import USUAL, GaussianMLP
 from maesn.rules import GradientRule, ThenTrpo
 from maesn.storage import read_json
 from maesn.studies.comparison import compare

@@ -26,8 +26,7 @@ from maesn import cli
 from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import PRESETS
-from maesn.policies import GaussianMLP
-from maesn.policies.usual import USUAL
+from maesn.policies import USUAL, GaussianMLP
 from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import write_report

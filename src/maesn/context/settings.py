@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import Key
 from maesn.context.values import AbstractContext, Bias, Latent, Nothing, TaskDescription
 from maesn.numerics import DiagonalGaussian
-from maesn.settings import check_choice
+from maesn.settings import check_choice, check_number
 
 Value = TypeVar("Value", bound=AbstractContext)
 
@@ -71,41 +71,32 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
         return jnp.zeros(())
 
 
-class NoContext(AbstractContextSettings[Nothing]):
-    """No context: the policy sees observations alone."""
+class _FixedContext(AbstractContextSettings[Value]):
+    """Nothing in it is learned or adapted: every task starts from the table as it is."""
 
     @property
     def is_adaptable(self) -> bool:
         return False
+
+    def start(self, table: Value, task_index: Int[Array, " task"]) -> Value:
+        return table
+
+    def start_new(self, table: Value, num_tasks: int) -> Value:
+        return table
+
+
+class NoContext(_FixedContext[Nothing]):
+    """No context: the policy sees observations alone."""
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Nothing:
         return Nothing()
 
-    def start(self, table: Nothing, task_index: Int[Array, " task"]) -> Nothing:
-        return table
 
-    def start_new(self, table: Nothing, num_tasks: int) -> Nothing:
-        return table
-
-
-class OracleContext(AbstractContextSettings[TaskDescription]):
-    """The task itself: the policy sees the description of its task.
-
-    Nothing in it is learned or adapted, and it has no penalty.
-    """
-
-    @property
-    def is_adaptable(self) -> bool:
-        return False
+class OracleContext(_FixedContext[TaskDescription]):
+    """The task itself: the policy sees the description of its task, without a penalty."""
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> TaskDescription:
         return TaskDescription(description_size)
-
-    def start(self, table: TaskDescription, task_index: Int[Array, " task"]) -> TaskDescription:
-        return table
-
-    def start_new(self, table: TaskDescription, num_tasks: int) -> TaskDescription:
-        return table
 
 
 class BiasContext(AbstractContextSettings[Bias]):
@@ -118,8 +109,7 @@ class BiasContext(AbstractContextSettings[Bias]):
     """Number of components of the bias. Reference: 8 on ant."""
 
     def __check_init__(self) -> None:
-        if self.size < 0:
-            raise ValueError(f"`size` of BiasContext must be at least 0, got {self.size}.")
+        check_number("size", self.size, 0)
 
     @property
     def is_pathwise(self) -> bool:
@@ -162,13 +152,10 @@ class LatentContext(AbstractContextSettings[Latent]):
     """Estimator of the inner gradient of the latent. Reference: likelihood ratio."""
 
     def __check_init__(self) -> None:
-        if self.size < 1:
-            raise ValueError(f"`size` of LatentContext must be at least 1, got {self.size}.")
+        check_number("size", self.size, 1)
         check_choice("gradient", self.gradient, LatentGradient)
-        if not self.kl_weight >= 0:
-            raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
-        if not self.initial_spread >= 0:
-            raise ValueError(f"`initial_spread` must be at least 0, got {self.initial_spread}.")
+        check_number("kl_weight", self.kl_weight, 0)
+        check_number("initial_spread", self.initial_spread, 0)
 
     @property
     def is_pathwise(self) -> bool:

@@ -31,7 +31,7 @@ class Evaluation:
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     rule: AnyRule = None
-    """What happens in a new task: gradient, search, its control stationary, memory or none, or
+    """What happens in a new task: gradient, search, its control stationary or none, or
     `module:name` of your own; behind it its settings, as in `--rule gradient step_scale=2`. None:
     what the method prescribes. `maesn list` has all settings."""
     wrappers: AnyWrappers = ()

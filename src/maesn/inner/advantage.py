@@ -14,6 +14,7 @@ from maesn.numerics import (
     standardize,
 )
 from maesn.numerics.tasks import map_tasks
+from maesn.settings import check_number, check_positive
 
 # Observations are clipped to this range, and t is divided by this number of steps, as in the
 # reference's linear feature baseline.
@@ -56,11 +57,9 @@ class AdvantageEstimator(eqx.Module):
     moves."""
 
     def __check_init__(self) -> None:
-        for name, value in (("discount", self.discount), ("gae_lambda", self.gae_lambda)):
-            if not 0 <= value <= 1:
-                raise ValueError(f"`{name}` must lie in [0, 1], got {value}.")
-        if not self.ridge > 0:
-            raise ValueError(f"`ridge` must be positive, got {self.ridge}.")
+        check_number("discount", self.discount, 0, 1)
+        check_number("gae_lambda", self.gae_lambda, 0, 1)
+        check_positive(self, "ridge")
 
     def __call__(self, episodes: Episodes) -> Advantages:
         """Return the advantages of one task, from its episodes `[episode, time, ...]`.
@@ -97,7 +96,6 @@ class AdvantageEstimator(eqx.Module):
     def _fitted_values(
         self, episodes: Episodes, returns: Float[Array, "episode time"]
     ) -> Float[Array, "episode time"]:
-        """Return the linear baseline's prediction of the discounted return at every step."""
         features = _features(episodes.observation[:, : returns.shape[1]], episodes.valid)
         rows = features.reshape(-1, features.shape[-1])
         weight = episodes.valid.reshape(-1).astype(rows.dtype)

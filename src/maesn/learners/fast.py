@@ -9,7 +9,7 @@ is None, or a method that refuses with a sentence, where a learner lacks it.
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -22,11 +22,9 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.inner.adaptation import StepSchedule
 from maesn.runtime import ExportedLearner
+from maesn.runtime.episode import Purpose as Purpose
 
 FastState = TypeVar("FastState")
-
-# What episodes are for: `explore`, to learn from; `deploy`, to be judged, and not learned from.
-Purpose: TypeAlias = Literal["explore", "deploy"]
 
 
 class Capabilities(NamedTuple):

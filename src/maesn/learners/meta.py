@@ -148,9 +148,10 @@ class AbstractMetaLearner(eqx.Module, Generic[MetaState, Info]):
             ValueError: there are too few.
         """
 
-    @abstractmethod
     def iteration(self, state: MetaState) -> Int[Array, ""]:
-        """Return the number of meta-iterations that led to a state."""
+        """Return the number of meta-iterations that led to a state: by default, its `iteration`."""
+        number: Int[Array, ""] = state.iteration  # type: ignore[attr-defined]
+        return number
 
     def metrics(self, info: Info) -> Any:
         """Return the scalars to log of a meta-iteration, named by their path in the tree."""

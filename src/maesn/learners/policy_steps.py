@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from maesn.numerics import (
 )
 from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicy
-from maesn.settings import check_choice, check_number, check_positive
+from maesn.settings import check_number, check_positive
 
 
 class AbstractPolicyStep(eqx.Module):
@@ -56,9 +56,6 @@ class AbstractPolicyStep(eqx.Module):
         """
 
 
-Scaling: TypeAlias = Literal["none", "adam"]
-
-
 class GradientStepInfo(eqx.Module):
     """Info of one `GradientStep`."""
 
@@ -74,20 +71,12 @@ class GradientStep(AbstractPolicyStep):
 
     step_size: float = 0.1
     """Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
-    scaling: Scaling = "none"
-    """`adam` for a gradient that Adam scales: the size of the step then means something else."""
 
     def __check_init__(self) -> None:
-        check_choice("scaling", self.scaling, Scaling)
         check_positive(self, "step_size")
 
-    @property
-    def _optimizer(self) -> optax.GradientTransformation:
-        make = {"none": optax.sgd, "adam": optax.adam}[self.scaling]
-        return make(self.step_size)
-
     def init(self, policy: AbstractPolicy) -> Any:
-        return self._optimizer.init(policy)
+        return optax.sgd(self.step_size).init(policy)
 
     def __call__(
         self,
@@ -102,7 +91,7 @@ class GradientStep(AbstractPolicyStep):
             return -mesh.part_of_mean(log_prob * advantages, trials.valid)
 
         value, gradient = mesh.total(jax.value_and_grad(loss)(policy))
-        moved = first_order_step(self._optimizer, policy, gradient, opt_state)
+        moved = first_order_step(optax.sgd(self.step_size), policy, gradient, opt_state)
         new, accepted = if_finite(moved, (policy, opt_state))
         return *new, GradientStepInfo(value, optax.tree.norm(gradient), accepted)
 
@@ -139,8 +128,7 @@ class ProximalStep(AbstractPolicyStep):
     def __check_init__(self) -> None:
         if not 0 < self.clip < 1:
             raise ValueError(f"`clip` must lie in (0, 1), got {self.clip}.")
-        if not self.entropy_weight >= 0:
-            raise ValueError(f"`entropy_weight` must be at least 0, got {self.entropy_weight}.")
+        check_number("entropy_weight", self.entropy_weight, 0)
 
     @property
     def minibatches(self) -> int:

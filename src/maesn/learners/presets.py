@@ -52,18 +52,13 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
     Stage-wise, as the paper found necessary: the first 150 meta-iterations leave the policy alone
     in the inner step. The paper gives no length of the stage; this is half of a run of 300.
     """
+    policy = InnerStep(THETA_STEP, first_iteration=150)
     return _fill(
         settings,
         context=LatentContext(),
-        adaptation=staged_adaptation(first_iteration=150),
+        adaptation=Adaptation(policy=policy, context=InnerStep(1.0)),
         outer=TrustRegionOuterStep(hessian_stride=HESSIAN_STRIDE),
     )
-
-
-def staged_adaptation(first_iteration: int) -> Adaptation:
-    """Return equations (4) and (5), and from meta-iteration `first_iteration` on (6) as well."""
-    policy = InnerStep(THETA_STEP, first_iteration=first_iteration)
-    return Adaptation(policy=policy, context=InnerStep(1.0))
 
 
 def maml(**settings: Any) -> GradientMetaLearner:

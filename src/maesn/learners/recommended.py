@@ -69,6 +69,5 @@ def with_setting(settings: Settings, path: str, value: Any) -> Settings:
 
 
 def _policy(named: str | dict[str, Any]) -> Any:
-    """Return the settings of a policy: the usual ones of a type, or a table of some others."""
     settings = {"type": named} if isinstance(named, str) else dict(named)
     return getattr(policies, settings.pop("type"))(**settings)

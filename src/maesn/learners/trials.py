@@ -1,7 +1,7 @@
 """Trials: recorded episodes, with all that another policy's likelihood of them depends on."""
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
@@ -13,7 +13,6 @@ from maesn.experience.agent import Agent
 from maesn.experience.episodes import Episodes, Thinning
 from maesn.numerics import AbstractDistribution, mesh
 from maesn.policies import AbstractPolicy, PolicyInput
-from maesn.settings import check_number
 
 
 class Trials(eqx.Module):
@@ -102,16 +101,3 @@ def _steps(episodes: Episodes, inputs: PolicyInput) -> _Steps:
     action = jnp.where(valid[..., None], episodes.action, 0.0)
     reward = jnp.where(valid, episodes.reward, 0.0)
     return inputs, action, reward, valid, episodes.behaviour
-
-
-def check_trials(learner: Any) -> None:
-    """Refuse by ValueError settings that no learner from trials can have.
-
-    Args:
-        learner: has `meta_batch_size`, `trial_episodes`, `discount` and `gae_lambda`.
-    """
-    for name in ("meta_batch_size", "trial_episodes"):
-        check_number(name, getattr(learner, name), 1)
-    for name in ("discount", "gae_lambda"):
-        if not 0 <= getattr(learner, name) <= 1:
-            raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(learner, name)}.")

@@ -10,5 +10,4 @@ from maesn.networks.mlp import MLP as MLP
 from maesn.networks.mlp import Linear as Linear
 from maesn.networks.mlp import init_mlp as init_mlp
 from maesn.networks.recurrent import RecurrentNetwork as RecurrentNetwork
-from maesn.networks.recurrent import check_sizes as check_sizes
 from maesn.networks.recurrent import init_recurrent_network as init_recurrent_network

@@ -1,7 +1,5 @@
 """A recurrent network: encoder, gated recurrent units, readout."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -58,15 +56,6 @@ class RecurrentNetwork(eqx.Module):
         return x
 
 
-def check_sizes(settings: Any) -> None:
-    """Refuse settings of a recurrent network with sizes below 1, by `ValueError`."""
-    for name in ("encoder_sizes", "readout_sizes"):
-        if any(size < 1 for size in getattr(settings, name)):
-            raise ValueError(f"`{name}` must be positive, got {getattr(settings, name)}.")
-    if settings.hidden_size < 1:
-        raise ValueError(f"`hidden_size` must be at least 1, got {settings.hidden_size}.")
-
-
 def init_recurrent_network(
     key: Key,
     inputs: int,
@@ -86,11 +75,8 @@ def init_recurrent_network(
     encoder = init_mlp(encoder_key, sizes).layers if encoder_sizes else ()
     beside = 0 if hyper else hidden_size
     readout = init_mlp(readout_key, (sizes[-1] + beside, *readout_sizes, outputs))
-    last = eqx.tree_at(lambda layer: layer.weight, readout.layers[-1], replace_fn=_shrink)
-    readout = MLP((*readout.layers[:-1], last))
+    last = readout.layers[-1]
+    small = Linear(OUTPUT_SCALE * last.weight, last.bias)
+    readout = MLP((*readout.layers[:-1], small))
     gru = init_gru(gru_key, sizes[-1], hidden_size)
     return RecurrentNetwork(encoder, gru, hyper_mlp(readout, hidden_size) if hyper else readout)
-
-
-def _shrink(weight: Array) -> Array:
-    return OUTPUT_SCALE * weight

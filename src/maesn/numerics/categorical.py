@@ -29,10 +29,6 @@ class Categorical(AbstractDistribution):
         """p_k."""
         return jax.nn.softmax(self.logits)
 
-    def sample(self, key: PRNGKeyArray) -> Float[Array, "*batch choice"]:
-        """Draw one choice for each distribution of the batch, as a one-hot vector."""
-        return self.sample_from_noise(self.noise(key, self.logits.shape))
-
     @staticmethod
     def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*batch choice"]:
         """Draw g_k ~ Gumbel(0, 1)."""

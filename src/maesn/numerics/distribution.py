@@ -17,10 +17,6 @@ class AbstractDistribution(eqx.Module):
     alone. Subclasses are final: they implement every method and are not subclassed again.
     """
 
-    @abstractmethod
-    def sample(self, key: PRNGKeyArray) -> Shaped[Array, "*sample"]:
-        """Draw one event x ~ p for each distribution of the batch, from `noise(key, ...)`."""
-
     @staticmethod
     @abstractmethod
     def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*sample"]:

@@ -39,10 +39,6 @@ class DiagonalGaussian(AbstractDistribution):
         """
         return DiagonalGaussian(mean=jnp.zeros(shape), log_std=jnp.zeros(shape))
 
-    def sample(self, key: PRNGKeyArray) -> Float[Array, "*batch dim"]:
-        """Draw x = μ + σ ε with ε ~ N(0, I), one event for each distribution of the batch."""
-        return self.sample_from_noise(self.noise(key, self.mean.shape))
-
     @staticmethod
     def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*batch dim"]:
         """Draw ε ~ N(0, I)."""

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.multihost_utils import global_array_to_host_local_array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int
 
@@ -72,6 +73,15 @@ def num_devices() -> int:
     return 1 if mesh is None else mesh.size
 
 
+def refuse_sharing(method: str) -> None:
+    """Refuse by ValueError several devices for a method that learns on one."""
+    if num_devices() > 1:
+        raise ValueError(
+            f"`{method}` learns on one device, but {num_devices()} share the tasks: train it "
+            "without sharing."
+        )
+
+
 def own_slots(rows: Tree) -> Tree:
     """Select the rows of the task slots that this process plays from the rows of all slots."""
     mesh = _mesh.get()
@@ -106,7 +116,12 @@ def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
         return outcome
     placed = _placed(mesh, shared, _REPLICATED), _placed(mesh, rows, _SHARDED)
     new_shared, new_rows = _call_sharded(mesh, function, *placed)
-    return jax.tree.map(_own_copy, new_shared), jax.tree.map(_own_rows, new_rows)
+    specs = (_REPLICATED, _SHARDED)
+    own = global_array_to_host_local_array((new_shared, new_rows), mesh, specs)
+    # By way of NumPy: an array committed to a device would make JAX compile again the programs that
+    # it has compiled for uncommitted arrays.
+    found: tuple[Any, Any] = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), own)
+    return found
 
 
 def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
@@ -165,21 +180,6 @@ def _placed(mesh: Mesh, tree: Any, spec: PartitionSpec) -> Any:
         return jax.make_array_from_single_device_arrays(shape, sharding, pieces)
 
     return jax.tree.map(place, tree)
-
-
-def _own_rows(x: Array) -> Array:
-    """Return the rows of this process, on its first device."""
-    if x.size == 0:  # what is empty is never sharded
-        mesh: Mesh = x.sharding.mesh  # type: ignore[attr-defined]
-        return jnp.zeros((x.shape[0] // mesh.size * len(mesh.local_devices), *x.shape[1:]), x.dtype)
-    shards = sorted(x.addressable_shards, key=lambda shard: shard.index[0].start or 0)
-    return jnp.asarray(np.concatenate([np.asarray(shard.data) for shard in shards]))
-
-
-def _own_copy(x: Array) -> Array:
-    # By way of NumPy, here and above: an array committed to a device would make JAX compile again
-    # the programs that it has compiled for uncommitted arrays.
-    return jnp.asarray(np.asarray(x.addressable_data(0)))
 
 
 def _is_inside() -> bool:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from maesn.numerics import mesh
 from maesn.numerics.first_order import first_order_step
-from maesn.settings import check_number
+from maesn.settings import check_number, check_positive
 
 Parameters = TypeVar("Parameters")
 Auxiliary = TypeVar("Auxiliary")
@@ -34,9 +34,7 @@ class MinibatchDescent(eqx.Module):
     """Longer gradients are shortened to this norm."""
 
     def __check_init__(self) -> None:
-        for name in ("learning_rate", "max_gradient_norm"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        check_positive(self, "learning_rate", "max_gradient_norm")
         for name in ("epochs", "minibatches"):
             check_number(name, getattr(self, name), 1)
 

@@ -129,7 +129,6 @@ def _request_cpu_devices(number: int) -> None:
 
 
 def _devices_of_each_process(number: int) -> list[jax.Device]:
-    """Return the first `number` devices of every process."""
     found = jax.local_device_count()
     if found < number:
         raise RunError(

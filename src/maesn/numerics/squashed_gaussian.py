@@ -39,10 +39,6 @@ class SquashedGaussian(AbstractDistribution):
         """The distribution N(μ, σ²) of u."""
         return DiagonalGaussian(self.mean, self.log_std)
 
-    def sample(self, key: PRNGKeyArray) -> Float[Array, "*batch dim"]:
-        """Draw x = tanh(μ + σ ε) with ε ~ N(0, I)."""
-        return jnp.tanh(self.unsquashed.sample(key))
-
     @staticmethod
     def noise(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*batch dim"]:
         """Draw ε ~ N(0, I)."""

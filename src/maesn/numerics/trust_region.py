@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from maesn.numerics import AbstractDistribution, conjugate_gradient, multiply
 from maesn.numerics.mesh import total
+from maesn.settings import check_number, check_positive
 
 Parameters = TypeVar("Parameters")
 Vector = Float[Array, " parameter"]
@@ -63,15 +64,10 @@ class TrustRegion(eqx.Module):
     """Number of candidates in the line search, the first one included. Reference: 15."""
 
     def __check_init__(self) -> None:
-        if not self.max_kl > 0:
-            raise ValueError(f"`max_kl` must be positive, got {self.max_kl}.")
-        if self.cg_steps < 1 or self.max_backtracks < 1:
-            raise ValueError(
-                "`cg_steps` and `max_backtracks` must be at least 1, got "
-                f"{self.cg_steps} and {self.max_backtracks}."
-            )
-        if not self.damping >= 0:
-            raise ValueError(f"`damping` must be at least 0, got {self.damping}.")
+        check_positive(self, "max_kl")
+        check_number("cg_steps", self.cg_steps, 1)
+        check_number("max_backtracks", self.max_backtracks, 1)
+        check_number("damping", self.damping, 0)
         if not 0 < self.backtrack_ratio < 1:
             raise ValueError(f"`backtrack_ratio` must lie in (0, 1), got {self.backtrack_ratio}.")
 
@@ -147,7 +143,6 @@ class TrustRegion(eqx.Module):
         longest: Vector,
         loss_before: Float[Array, ""],
     ) -> "_LineSearch":
-        """Try ever shorter candidates until one is acceptable."""
 
         def goes_on(search: _LineSearch) -> Bool[Array, ""]:
             return ~search.accepted & (search.tried < self.max_backtracks)

@@ -6,6 +6,7 @@ from maesn.policies.base import AbstractPolicySettings as AbstractPolicySettings
 from maesn.policies.base import PolicyInput as PolicyInput
 from maesn.policies.categorical_mlp import CategoricalMLP as CategoricalMLP
 from maesn.policies.categorical_mlp import CategoricalMLPPolicy as CategoricalMLPPolicy
+from maesn.policies.gaussian_mlp import USUAL as USUAL
 from maesn.policies.gaussian_mlp import GaussianMLP as GaussianMLP
 from maesn.policies.gaussian_mlp import GaussianMLPPolicy as GaussianMLPPolicy
 from maesn.policies.recurrent import HyperRecurrent as HyperRecurrent
@@ -13,4 +14,3 @@ from maesn.policies.recurrent import Recurrent as Recurrent
 from maesn.policies.recurrent import RecurrentPolicy as RecurrentPolicy
 from maesn.policies.recurrent import input_features as input_features
 from maesn.policies.recurrent import input_size as input_size
-from maesn.policies.usual import USUAL as USUAL

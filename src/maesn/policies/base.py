@@ -40,9 +40,9 @@ class AbstractPolicy(eqx.Module):
     ) -> tuple[AbstractDistribution, RecurrentState]:
         """Return the distribution of the action at one step, and the next recurrent state."""
 
-    @abstractmethod
     def initial_recurrent_state(self) -> RecurrentState:
-        """Return the state at the start of a trial; `None` for a policy that is not recurrent."""
+        """Return the state at the start of a trial; `None`, the default, if it is not recurrent."""
+        return None
 
     @property
     def action_kind(self) -> ActionKind:

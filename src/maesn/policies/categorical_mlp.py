@@ -7,7 +7,7 @@ from maesn.axes import ActionKind, Key, RecurrentState
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import Categorical
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
-from maesn.policies.heads import CategoricalHead
+from maesn.settings import check_sizes
 
 
 class CategoricalMLPPolicy(AbstractPolicy):
@@ -19,10 +19,7 @@ class CategoricalMLPPolicy(AbstractPolicy):
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
     ) -> tuple[Categorical, RecurrentState]:
         logits = self.mlp(jnp.concatenate([policy_input.observation, z]))
-        return CategoricalHead()(logits), recurrent_state
-
-    def initial_recurrent_state(self) -> RecurrentState:
-        return None
+        return Categorical(logits), recurrent_state
 
     @property
     def action_kind(self) -> ActionKind:
@@ -36,8 +33,7 @@ class CategoricalMLP(AbstractPolicySettings):
     """Widths of the hidden layers, as of `GaussianMLP`."""
 
     def __check_init__(self) -> None:
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
+        check_sizes(self, "hidden_sizes")
 
     def init(
         self, key: Key, observation_size: int, action_size: int, z_size: int

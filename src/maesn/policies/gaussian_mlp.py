@@ -8,7 +8,8 @@ from maesn.networks import MLP, init_mlp
 from maesn.numerics import DiagonalGaussian
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
 from maesn.policies.categorical_mlp import CategoricalMLP
-from maesn.policies.heads import GaussianHead, initial_log_std
+from maesn.policies.heads import gaussian, initial_log_std
+from maesn.settings import check_positive, check_sizes
 
 
 class GaussianMLPPolicy(AbstractPolicy):
@@ -21,10 +22,7 @@ class GaussianMLPPolicy(AbstractPolicy):
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
     ) -> tuple[DiagonalGaussian, RecurrentState]:
         mean = self.mlp(jnp.concatenate([policy_input.observation, z]))
-        return GaussianHead(self.log_std)(mean), recurrent_state
-
-    def initial_recurrent_state(self) -> RecurrentState:
-        return None
+        return gaussian(mean, self.log_std), recurrent_state
 
 
 class GaussianMLP(AbstractPolicySettings):
@@ -36,10 +34,8 @@ class GaussianMLP(AbstractPolicySettings):
     """Standard deviation of the actions before training. Reference: 1."""
 
     def __check_init__(self) -> None:
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
-        if not self.initial_std > 0:
-            raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
+        check_sizes(self, "hidden_sizes")
+        check_positive(self, "initial_std")
 
     def for_actions(self, kind: ActionKind) -> AbstractPolicySettings:
         if kind == "continuous" or self.initial_std != GaussianMLP.initial_std:
@@ -52,3 +48,10 @@ class GaussianMLP(AbstractPolicySettings):
         sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
         log_std = initial_log_std(action_size, self.initial_std)
         return GaussianMLPPolicy(init_mlp(key, sizes), log_std)
+
+
+USUAL: dict[ActionKind, AbstractPolicySettings] = {
+    "continuous": GaussianMLP(),
+    "discrete": CategoricalMLP(),
+}
+"""The usual feed-forward policy for each kind of actions."""

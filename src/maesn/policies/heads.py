@@ -1,7 +1,6 @@
 """The last step of a policy: from a network's outputs to a distribution of actions."""
 
 import math
-from abc import abstractmethod
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,48 +13,29 @@ from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
 MINIMUM_STD = 1e-6
 
 
-class AbstractHead(eqx.Module):
-    """Turns one output for each component of an action into a distribution."""
+class Head(eqx.Module):
+    """Turns one output for each component of an action into a distribution.
 
-    @abstractmethod
+    N(outputs, diag(exp(log_std)^2)), or one choice, with the outputs as logits.
+    """
+
+    log_std: Float[Array, "*batch action"] | None
+    """State-independent; None for choices."""
+
     def __call__(self, outputs: Float[Array, " action"]) -> AbstractDistribution:
-        """Return the distribution of the action."""
+        if self.log_std is None:
+            return Categorical(outputs)
+        return gaussian(outputs, self.log_std)
 
     @property
-    @abstractmethod
     def action_kind(self) -> ActionKind:
         """The kind of actions."""
+        return "discrete" if self.log_std is None else "continuous"
 
 
-class GaussianHead(AbstractHead):
-    """N(outputs, diag(exp(log_std)^2)), with a state-independent log_std."""
-
-    log_std: Float[Array, "*batch action"]
-
-    def __call__(self, outputs: Float[Array, " action"]) -> DiagonalGaussian:
-        return DiagonalGaussian(outputs, jnp.maximum(self.log_std, math.log(MINIMUM_STD)))
-
-    @property
-    def action_kind(self) -> ActionKind:
-        return "continuous"
-
-
-class CategoricalHead(AbstractHead):
-    """One choice, with the outputs as logits."""
-
-    def __call__(self, outputs: Float[Array, " action"]) -> Categorical:
-        return Categorical(outputs)
-
-    @property
-    def action_kind(self) -> ActionKind:
-        return "discrete"
-
-
-def make_head(action_kind: ActionKind, action_size: int, initial_std: float) -> AbstractHead:
-    """Return the head for a kind of actions; continuous ones start with that standard deviation."""
-    if action_kind == "discrete":
-        return CategoricalHead()
-    return GaussianHead(initial_log_std(action_size, initial_std))
+def gaussian(mean: Float[Array, " action"], log_std: Float[Array, " action"]) -> DiagonalGaussian:
+    """Return N(mean, diag(exp(log_std)^2)), with at least the least standard deviation."""
+    return DiagonalGaussian(mean, jnp.maximum(log_std, math.log(MINIMUM_STD)))
 
 
 def initial_log_std(action_size: int, initial_std: float) -> Float[Array, " action"]:

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
-from maesn.networks import RecurrentNetwork, check_sizes, init_recurrent_network
+from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import AbstractDistribution
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
-from maesn.policies.heads import AbstractHead, make_head
-from maesn.settings import check_choice
+from maesn.policies.heads import Head, initial_log_std
+from maesn.settings import check_choice, check_number, check_positive, check_sizes
 
 # A policy that amplifies its action before would play ever larger ones. Actions begin with a
 # standard deviation of 1.
@@ -27,7 +27,7 @@ class RecurrentPolicy(AbstractPolicy):
     """
 
     network: RecurrentNetwork
-    head: AbstractHead
+    head: Head
     observed: ObservedReward = eqx.field(static=True)
     symlog: bool = eqx.field(static=True, default=False)
 
@@ -87,9 +87,9 @@ class Recurrent(AbstractPolicySettings):
     the paper (dense in training, sparse in new tasks), or `sparse` for the sparse one in both."""
 
     def __check_init__(self) -> None:
-        check_sizes(self)
-        if not self.initial_std > 0:
-            raise ValueError(f"`initial_std` must be positive, got {self.initial_std}.")
+        check_sizes(self, "encoder_sizes", "readout_sizes")
+        check_number("hidden_size", self.hidden_size, 1)
+        check_positive(self, "initial_std")
         check_choice("action_kind", self.action_kind, ActionKind)
         check_choice("observed_reward", self.observed_reward, ObservedReward)
 
@@ -124,8 +124,9 @@ class Recurrent(AbstractPolicySettings):
             readout_sizes=self.readout_sizes,
             hyper=self.hyper,
         )
-        head = make_head(self.action_kind, action_size, self.initial_std)
-        return RecurrentPolicy(network, head, self.observed_reward, self.symlog)
+        is_discrete = self.action_kind == "discrete"
+        log_std = None if is_discrete else initial_log_std(action_size, self.initial_std)
+        return RecurrentPolicy(network, Head(log_std), self.observed_reward, self.symlog)
 
 
 class HyperRecurrent(Recurrent):

@@ -4,12 +4,11 @@ from maesn.rules.base import AbstractRule as AbstractRule
 from maesn.rules.base import AbstractWrapper as AbstractWrapper
 from maesn.rules.base import Budget as Budget
 from maesn.rules.base import Trained as Trained
-from maesn.rules.controls import StationaryRule as StationaryRule
 from maesn.rules.prescribed import FixedAgents as FixedAgents
 from maesn.rules.prescribed import GradientRule as GradientRule
-from maesn.rules.prescribed import MemoryRule as MemoryRule
 from maesn.rules.prescribed import NoAdaptation as NoAdaptation
 from maesn.rules.search import SearchRule as SearchRule
+from maesn.rules.search import StationaryRule as StationaryRule
 from maesn.rules.text import KNOWN as KNOWN
 from maesn.rules.text import from_text as from_text
 from maesn.rules.text import paths_of as paths_of

@@ -1,4 +1,4 @@
-"""The rules of the methods themselves: policy gradient, memory, or no learning at all."""
+"""The rules of the methods themselves: policy gradient, or no learning at all."""
 
 from dataclasses import replace
 from typing import Any
@@ -55,23 +55,6 @@ class GradientRule(AbstractRule):
             full_steps=schedule.full_steps if self.full_steps is None else self.full_steps,
         )
         return learner.rescheduled(changed, self.start_std)
-
-
-class MemoryRule(AbstractRule):
-    """Learn by the recurrent state alone, as RL2 does."""
-
-    @property
-    def label(self) -> str:
-        return ""
-
-    def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        learner = trained.fast_learner()
-        if learner.capabilities.trial_episodes is None:
-            raise ValueError(
-                "the rule `memory` needs a policy that remembers earlier episodes, such as that of "
-                "`rl2`: leave the rule out."
-            )
-        return learner
 
 
 class NoAdaptation(AbstractRule):

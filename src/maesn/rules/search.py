@@ -1,4 +1,4 @@
-"""The rule that searches the latent space, and the prior over returns that it needs."""
+"""The rule that searches the latent space, and a control that knows no single training task."""
 
 from typing import ClassVar
 
@@ -44,3 +44,19 @@ class SearchRule(AbstractRule):
     def model(self, prior: ReturnPrior) -> ReturnModel:
         """Return the model of the returns in a new task."""
         return self.settings.model(prior)
+
+
+class StationaryRule(SearchRule):
+    """Search as `search` does, with one Gaussian process that knows no training task.
+
+    Its mean is the average over training tasks, its kernel stationary with their variance.
+    """
+
+    settings: SearchSettings = SearchSettings(familiar=1.0)
+
+    @property
+    def label(self) -> str:
+        return "stationary process"
+
+    def model(self, prior: ReturnPrior) -> ReturnModel:
+        return self.settings.model(prior).unlike(wider=1.0, shifted=False)

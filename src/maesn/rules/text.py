@@ -6,9 +6,8 @@ from typing import Any
 
 from maesn.envs.sources import imported
 from maesn.rules.base import AbstractRule, AbstractWrapper
-from maesn.rules.controls import StationaryRule
-from maesn.rules.prescribed import GradientRule, MemoryRule, NoAdaptation
-from maesn.rules.search import SearchRule
+from maesn.rules.prescribed import GradientRule, NoAdaptation
+from maesn.rules.search import SearchRule, StationaryRule
 from maesn.rules.wrappers import ThenReinforce, ThenTrpo, VimeBonus
 from maesn.runs.serialization import TAG, fields_to_json, replaced, values_of_words
 from maesn.settings import leaves
@@ -18,7 +17,6 @@ KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
     "rule": {
         "gradient": GradientRule,
         "search": SearchRule,
-        "memory": MemoryRule,
         "none": NoAdaptation,
         "stationary": StationaryRule,
     },

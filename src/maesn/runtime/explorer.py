@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maesn.runtime.acting import Actor
+from maesn.runtime.acting import Actor, Limiter
 from maesn.runtime.arrays import FloatArray, finite_vector
 from maesn.runtime.episode import Episode
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.learning import AdaptationInfo, learned, surprise
-from maesn.runtime.limiter import Limiter
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import Beliefs
 from maesn.runtime.state import ExplorerState
@@ -50,11 +49,6 @@ class Explorer:
         self.safeguards = Safeguards() if safeguards is None else safeguards
         self._limiter = Limiter(exported.actuators, self.safeguards)
         self._generator = np.random.default_rng(seed)
-        if exported.search is not None and self.safeguards.max_return_drop is not None:
-            raise ValueError(
-                "`max_return_drop` takes back steps of the policy gradient: leave it out for a "
-                "search."
-            )
         state = ExplorerState.new_task(exported) if state is None else state
         self._state = state.within(self.safeguards.max_latent_norm)
         self._actor = self._given_z()
@@ -271,8 +265,8 @@ class Explorer:
     def adapt(self) -> AdaptationInfo:
         """Learn from all exploring episodes since the last call, and forget them.
 
-        Moves the latent, or takes the last update back (`Safeguards.max_return_drop`). A search
-        warns, once, of returns that its prior cannot explain, as of rewards in another unit.
+        Moves the latent. A search warns, once, of returns that its prior cannot explain, as of
+        rewards in another unit.
 
         Raises:
             RuntimeError: an episode is running, there are fewer than two finished episodes to

@@ -111,6 +111,9 @@ class ExportedPolicy:
             )
         policy = GaussianPolicy.from_arrays(arrays, inputs + size, layers)
         outputs, rule = policy.action_size, entry(metadata, "rule", dict)
+        is_noisy, search = entry(metadata, "is_noisy", dict), None
+        if _SEARCH in metadata:
+            search = ExportedSearch.from_archive(arrays, entry(metadata, _SEARCH, dict), size)
         return ExportedPolicy(
             policy,
             Actuators(
@@ -129,13 +132,9 @@ class ExportedPolicy:
             ),
             description=entry(metadata, "description", dict),
             start_update=entry(metadata, "start_update", int),
-            search=_search(arrays, metadata, size),
-            is_noisy=_is_noisy(entry(metadata, "is_noisy", dict)),
+            search=search,
+            is_noisy={purpose: entry(is_noisy, purpose, bool) for purpose in PURPOSES},
         )
-
-
-def _is_noisy(flags: dict[str, Any]) -> dict[Purpose, bool]:
-    return {purpose: entry(flags, purpose, bool) for purpose in PURPOSES}
 
 
 def _names(metadata: Mapping[str, Any], kind: str, size: int) -> tuple[str, ...]:
@@ -143,9 +142,3 @@ def _names(metadata: Mapping[str, Any], kind: str, size: int) -> tuple[str, ...]
     if len(names) != size or not all(isinstance(name, str) for name in names):
         raise ValueError(f"entry `{kind}` must be {size} names, got {names!r}.")
     return tuple(names)
-
-
-def _search(arrays: Arrays, metadata: Mapping[str, Any], size: int) -> ExportedSearch | None:
-    if _SEARCH not in metadata:
-        return None
-    return ExportedSearch.from_archive(arrays, entry(metadata, _SEARCH, dict), size)

@@ -8,8 +8,14 @@ from typing import Any
 import numpy as np
 
 from maesn.runtime.archive import entry
-from maesn.runtime.arrays import Arrays, take
-from maesn.runtime.return_model import NOMINAL, ReturnModel, ReturnPrior
+from maesn.runtime.arrays import Arrays, named, take
+from maesn.runtime.return_model import (
+    NOMINAL,
+    PRIOR_ARRAYS,
+    PRIOR_NUMBERS,
+    ReturnModel,
+    ReturnPrior,
+)
 from maesn.runtime.search_settings import SearchSettings
 
 
@@ -34,22 +40,14 @@ class ExportedSearch:
 
     def arrays(self) -> Arrays:
         """Return the arrays to save in a file."""
-        prior = self.prior
-        arrays = {"latents": prior.latents, "excess": prior.excess, "noise": prior.noise}
-        return {f"prior.{name}": x.astype(np.float32) for name, x in arrays.items()}
+        arrays = named("prior", self.prior, *PRIOR_ARRAYS)
+        return {name: x.astype(np.float32) for name, x in arrays.items()}
 
     def metadata(self) -> dict[str, Any]:
         """Return the other values to save in a file."""
-        prior = self.prior
-        return {
-            "episodes": prior.episodes,
-            "offset_mean": prior.offset_mean,
-            "offset_std": prior.offset_std,
-            "proposed_levels": list(prior.proposed_levels),
-            "deployed_levels": list(prior.deployed_levels),
-            "horizon": self.horizon,
-            "settings": asdict(self.settings),
-        }
+        found = ((name, getattr(self.prior, name)) for name in PRIOR_NUMBERS)
+        numbers = {name: list(value) if np.ndim(value) else value for name, value in found}
+        return numbers | {"horizon": self.horizon, "settings": asdict(self.settings)}
 
     @staticmethod
     def from_archive(

@@ -24,30 +24,6 @@ _HALVINGS = 40  # of the range of quantiles, to 1e-12 of its width
 
 
 @dataclass(frozen=True)
-class Hypotheses:
-    """Hypotheses about a new task, before its first episode.
-
-    Attributes:
-        models: a model of the returns under each; the first is that of the training tasks.
-        probabilities: of each, `[hypothesis]`.
-    """
-
-    models: tuple[ReturnModel, ...]
-    probabilities: tuple[float, ...]
-
-    @staticmethod
-    def around(model: ReturnModel, familiar: float) -> "Hypotheses":
-        """Return all three hypotheses; the first alone if it is certain.
-
-        `familiar` is the probability of a task like a training task; the other two share the rest.
-        """
-        if familiar == 1.0:
-            return Hypotheses((model,), (1.0,))
-        other = (1.0 - familiar) / 2.0
-        return Hypotheses((model, model.shifted(), model.unlike()), (familiar, other, other))
-
-
-@dataclass(frozen=True)
 class MixedPosterior:
     """The posterior of f at some latents, under all hypotheses.
 
@@ -55,18 +31,27 @@ class MixedPosterior:
     hypothesis by hypothesis.
 
     Attributes:
-        hypotheses: what the new task may be.
-        parts: the posterior under each hypothesis; they have the same points and readings.
+        parts: the posterior under each hypothesis; they have the same points and readings. The
+            first is that of a task like a training task.
+        probabilities: probability of each hypothesis before the first episode.
     """
 
-    hypotheses: Hypotheses
     parts: tuple[Posterior, ...]
+    probabilities: tuple[float, ...]
 
     @staticmethod
-    def of_prior(hypotheses: Hypotheses, points: FloatArray) -> "MixedPosterior":
-        """Return the distribution at some latents before any reading."""
-        parts = tuple(Posterior.of_prior(model, points) for model in hypotheses.models)
-        return MixedPosterior(hypotheses, parts)
+    def of_prior(model: ReturnModel, familiar: float) -> "MixedPosterior":
+        """Return the distribution at the archive before any reading.
+
+        `familiar` is the probability of a task like a training task; the other two hypotheses share
+        the rest. If it is certain, it stands alone.
+        """
+        models, probabilities = [model], [familiar]
+        if familiar < 1.0:
+            models += [model.shifted(), model.unlike()]
+            probabilities += [(1.0 - familiar) / 2.0] * 2
+        parts = tuple(Posterior.of_prior(one, model.archive) for one in models)
+        return MixedPosterior(parts, tuple(probabilities))
 
     @property
     def points(self) -> FloatArray:
@@ -81,19 +66,14 @@ class MixedPosterior:
     @cached_property
     def weights(self) -> FloatArray:
         """Posterior probability of each component, `[component]`."""
-        prior = (
-            np.log(probability / model.num_tasks)
-            for model, probability in zip(
-                self.hypotheses.models, self.hypotheses.probabilities, strict=True
-            )
-        )
-        pairs = zip(prior, self.parts, strict=True)
-        return normalized(np.concatenate([log + part.task_evidence for log, part in pairs]))
+        pairs = zip(self.probabilities, self.parts, strict=True)
+        logs = [np.log(one / part.model.num_tasks) + part.task_evidence for one, part in pairs]
+        return normalized(np.concatenate(logs))
 
     @property
     def familiar(self) -> float:
         """Posterior probability that the task is like one of the training tasks."""
-        return float(self.weights[: self.hypotheses.models[0].num_tasks].sum())
+        return float(self.weights[: len(self.parts[0].task_mean)].sum())
 
     @cached_property
     def mean(self) -> FloatArray:
@@ -105,7 +85,9 @@ class MixedPosterior:
         """Standard deviation of f, `[point]`."""
         between = self.weights @ (self._component_means - self.mean) ** 2
         within = [np.maximum(part.variance, 0.0) for part in self.parts]
-        return np.sqrt(between + self._hypothesis_weights @ within)
+        ends = np.cumsum([len(part.task_mean) for part in self.parts])[:-1]
+        shares = np.array([one.sum() for one in np.split(self.weights, ends)])
+        return np.sqrt(between + shares @ within)
 
     def part(self, component: int) -> tuple[Posterior, int]:
         """Return the posterior under a component's hypothesis, and the task within it."""
@@ -119,8 +101,7 @@ class MixedPosterior:
         self, point: int, length: float = 1.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return weights, means and standard deviations of an episode's return, `[component]`."""
-        pairs = zip(self.hypotheses.models, self.parts, strict=True)
-        found = [part.predicted(model, point, length) for model, part in pairs]
+        found = [part.predicted(point, length) for part in self.parts]
         stds = [np.full(len(one.mean), one.std) for one in found]
         return self.weights, np.concatenate([one.mean for one in found]), np.concatenate(stds)
 
@@ -157,22 +138,15 @@ class MixedPosterior:
 
     def conditioned(self, reading: Reading) -> "MixedPosterior":
         """Return the posterior with one more reading."""
-        pairs = zip(self.hypotheses.models, self.parts, strict=True)
-        return replace(self, parts=tuple(part.conditioned(one, reading) for one, part in pairs))
+        return replace(self, parts=tuple(part.conditioned(reading) for part in self.parts))
 
     def extended(self, more: FloatArray) -> "MixedPosterior":
         """Return the posterior at its latents and at some more."""
-        pairs = zip(self.hypotheses.models, self.parts, strict=True)
-        return replace(self, parts=tuple(part.extended(one, more) for one, part in pairs))
+        return replace(self, parts=tuple(part.extended(more) for part in self.parts))
 
     @property
     def _component_means(self) -> FloatArray:
         return np.concatenate([part.task_mean for part in self.parts])
-
-    @property
-    def _hypothesis_weights(self) -> FloatArray:
-        ends = np.cumsum([len(part.task_mean) for part in self.parts])[:-1]
-        return np.array([one.sum() for one in np.split(self.weights, ends)])
 
 
 def _below(value: float, means: FloatArray, stds: FloatArray) -> FloatArray:

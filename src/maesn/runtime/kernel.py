@@ -37,5 +37,6 @@ def matern(first: FloatArray, second: FloatArray, length_scale: float) -> FloatA
     k = (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)  (Rasmussen and Williams 2006, equation 4.17).
     """
     distance = np.linalg.norm(first[:, None] - second[None], axis=-1)
-    scaled = np.sqrt(5.0) * distance / length_scale
+    # Beyond 1000 the exponential is 0, also where the distance is infinite.
+    scaled = np.minimum(np.sqrt(5.0) * distance / length_scale, 1000.0)
     return (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)

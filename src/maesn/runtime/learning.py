@@ -9,7 +9,7 @@ from maesn.runtime.baseline import episode_advantages
 from maesn.runtime.latent import Latent, LearningRule
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import LatentSearch
-from maesn.runtime.state import ExplorerState, Undo
+from maesn.runtime.state import ExplorerState
 
 # One episode has no other to be better or worse than: its standardised advantage is 0.
 MINIMUM_EPISODES = 2
@@ -22,8 +22,6 @@ class AdaptationInfo(NamedTuple):
     """Mean undiscounted return of the batch."""
     num_episodes: int
     """Number of episodes in the batch, without those played with `explore=False`."""
-    rolled_back: bool
-    """Whether the last update was taken back instead of making a new one."""
     shortened: bool
     """Whether `max_latent_norm` shortened the update."""
 
@@ -41,16 +39,11 @@ def learned(
     num_episodes = len(state.episodes)
     _refuse_fewer(MINIMUM_EPISODES, num_episodes)
     mean_return = float(np.mean([episode.undiscounted_return for episode in state.episodes]))
-    if state.undo is not None and safeguards.is_drop(mean_return, state.undo.mean_return):
-        info = AdaptationInfo(mean_return, num_episodes, rolled_back=True, shortened=False)
-        return ExplorerState(state.undo.latent, state.update + 1), info
     stepped = _policy_gradient_step(state, rule)
     bound = safeguards.max_latent_norm
     latent = stepped if bound is None else stepped.within(bound)
-    shortened = latent is not stepped
-    info = AdaptationInfo(mean_return, num_episodes, rolled_back=False, shortened=shortened)
-    undo = Undo(state.latent, mean_return)
-    return ExplorerState(latent, state.update + 1, undo=undo), info
+    info = AdaptationInfo(mean_return, num_episodes, shortened=latent is not stepped)
+    return ExplorerState(latent, state.update + 1), info
 
 
 def surprise(state: ExplorerState, horizon: int) -> str:
@@ -69,7 +62,7 @@ def _after_search(
     search = search.after(readings)
     latent = replace(state.latent, mean=search.latent(search.best))
     mean_return = float(np.mean([one.episode_return for one in readings]))
-    info = AdaptationInfo(mean_return, len(readings), rolled_back=False, shortened=False)
+    info = AdaptationInfo(mean_return, len(readings), shortened=False)
     return ExplorerState(latent, state.update + 1, search=search), info
 
 
@@ -83,7 +76,6 @@ def _refuse_fewer(needed: int, found: int) -> None:
 
 
 def _policy_gradient_step(state: ExplorerState, rule: LearningRule) -> Latent:
-    """Return the latent after one policy-gradient step."""
     advantage = episode_advantages(
         [episode.observations for episode in state.episodes],
         [episode.rewards for episode in state.episodes],

@@ -55,6 +55,7 @@ class Posterior:
     L^-1 cov(readings, c). A further reading adds one row to each and changes no other.
 
     Attributes:
+        model: the model of the returns.
         points: the latents, `[point, z]`.
         task_mean: mean of f if the new task is like training task i, `[task, point]`.
         task_offset: mean of c if the new task is like training task i, `[task]`.
@@ -70,6 +71,7 @@ class Posterior:
             `[reading, task]`.
     """
 
+    model: ReturnModel
     points: FloatArray
     task_mean: FloatArray
     task_offset: FloatArray
@@ -88,6 +90,7 @@ class Posterior:
         variance = model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points))
         noise = model.noise(points)
         return Posterior(
+            model,
             points,
             model.task_means(points),
             np.full(model.num_tasks, model.prior.offset_mean),
@@ -131,21 +134,21 @@ class Posterior:
         known[played] = self.is_exact[played]
         return known
 
-    def predicted(self, model: ReturnModel, point: int, length: float = 1.0) -> Prediction:
+    def predicted(self, point: int, length: float = 1.0) -> Prediction:
         """Return what is predicted of an episode's return, given the readings so far."""
         z = self.points[point : point + 1]
         reading_row = self.rows[:, point] + length * self.offset_rows
-        covariance = model.covariance(z, self.points)[0] - reading_row @ self.rows
-        offset = length * model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
+        covariance = self.model.covariance(z, self.points)[0] - reading_row @ self.rows
+        offset = length * self.model.prior.offset_std**2 - float(reading_row @ self.offset_rows)
         variance = float(covariance[point]) + length * offset + float(self.noise[point])
         mean = self.task_mean[:, point] + length * self.task_offset
         return Prediction(mean, float(np.sqrt(max(variance, 0.0))), covariance, offset)
 
-    def conditioned(self, model: ReturnModel, reading: Reading) -> "Posterior":
+    def conditioned(self, reading: Reading) -> "Posterior":
         """Return the posterior with one more reading: one step of a Cholesky decomposition."""
-        expected, std, covariance, offset = self.predicted(model, reading.point, reading.length)
+        expected, std, covariance, offset = self.predicted(reading.point, reading.length)
         error = reading.episode_return - expected
-        if self.known[reading.point] or self._is_twin(model, reading.point, std):
+        if self.known[reading.point] or self._is_twin(reading.point, std):
             scale = np.inf  # it teaches nothing, so its row is zero
         else:
             nearest, furthest = float(np.abs(error).min()), float(np.abs(error).max())
@@ -163,24 +166,24 @@ class Posterior:
             innovations=np.vstack([self.innovations, innovation]),
         )
 
-    def _is_twin(self, model: ReturnModel, point: int, std: float) -> bool:
+    def _is_twin(self, point: int, std: float) -> bool:
         """Whether a latent returns what an equal one did: nothing is left to know but rounding."""
         if not self.is_exact[point]:
             return False
         z = self.points[point : point + 1]
-        variance = float(model.covariance(z, z)[0, 0])
+        variance = float(self.model.covariance(z, z)[0, 0])
         return variance > 0.0 and std**2 <= KNOWN * variance
 
-    def extended(self, model: ReturnModel, more: FloatArray) -> "Posterior":
+    def extended(self, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""
-        covariance = model.covariance(self.points[[one.point for one in self.readings]], more)
+        covariance = self.model.covariance(self.points[[one.point for one in self.readings]], more)
         rows = np.zeros((len(self.readings), len(more)))
         for index, reading in enumerate(self.readings):
             reading_row = (
                 self.rows[:index, reading.point] + reading.length * self.offset_rows[:index]
             )
             rows[index] = (covariance[index] - reading_row @ rows[:index]) / self.scales[index]
-        before = Posterior.of_prior(model, more)
+        before = Posterior.of_prior(self.model, more)
         task_mean = before.task_mean + self.innovations.T @ rows
         variance = before.variance - (rows**2).sum(axis=0)
         return replace(

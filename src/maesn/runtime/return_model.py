@@ -36,6 +36,11 @@ NOMINAL = (0.05, 0.95)
 """Quantiles between which 90 % of the returns lie if the model is right."""
 
 
+PRIOR_ARRAYS = ("latents", "excess", "noise")
+PRIOR_NUMBERS = ("episodes", "offset_mean", "offset_std", "proposed_levels", "deployed_levels")
+"""The fields of a prior, which files hold in single precision, or as numbers."""
+
+
 @dataclass(frozen=True)
 class ReturnPrior:
     """Returns of an archive of latents in the training tasks.

@@ -1,6 +1,5 @@
 """Limits that keep a robot safe while it explores. The policy does not know them."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeAlias
@@ -35,18 +34,11 @@ class Safeguards:
     max_latent_norm: float | None = None
     """Largest Euclidean norm of the latent's mean. An update that would leave this ball ends on
     its surface. The standard deviation is not limited."""
-    max_return_drop: float | None = None
-    """Largest drop of a batch's mean undiscounted return below that of the batch before the last
-    update. After a larger drop `adapt` takes the last update back instead of making a new one: it
-    restores the latent and drops the batch. `update` still counts up, so that the step sizes keep
-    shrinking. The next batch is played with the restored latent and always leads to an update. None
-    never takes an update back. Two standard errors of a batch's mean are a sensible choice."""
 
     def __post_init__(self) -> None:
-        for name in ("max_latent_norm", "max_return_drop"):
-            bound = getattr(self, name)
-            if bound is not None and not bound >= 0:
-                raise ValueError(f"`{name}` must be at least 0 or None, got {bound}.")
+        bound = self.max_latent_norm
+        if bound is not None and not bound >= 0:
+            raise ValueError(f"`max_latent_norm` must be at least 0 or None, got {bound}.")
         for name in _LIMITS:
             object.__setattr__(self, name, _as_numbers(name, getattr(self, name)))
         if not np.isfinite(np.asarray(self.rest, np.float64)).all():
@@ -71,11 +63,6 @@ class Safeguards:
     def metadata(self) -> dict[str, Any]:
         """Return the fields as JSON values; `Safeguards(**metadata)` restores them."""
         return asdict(self)
-
-    def is_drop(self, mean_return: float, previous_return: float) -> bool:
-        """Whether a batch's mean return is too far below that of the batch before."""
-        allowed = math.inf if self.max_return_drop is None else self.max_return_drop
-        return mean_return < previous_return - allowed
 
 
 def _as_numbers(name: str, limit: Limit | None) -> float | tuple[float, ...] | None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from maesn.runtime.arrays import Arrays, FloatArray, take
-from maesn.runtime.hypotheses import Hypotheses, MixedPosterior
+from maesn.runtime.hypotheses import MixedPosterior
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel
 from maesn.runtime.search_settings import SearchSettings
@@ -52,8 +52,7 @@ class LatentSearch:
     @staticmethod
     def start(model: ReturnModel, settings: SearchSettings) -> "LatentSearch":
         """Return a search that has not played yet."""
-        hypotheses = Hypotheses.around(model, settings.familiar)
-        return LatentSearch(model, settings, MixedPosterior.of_prior(hypotheses, model.archive))
+        return LatentSearch(model, settings, MixedPosterior.of_prior(model, settings.familiar))
 
     @property
     def points(self) -> FloatArray:

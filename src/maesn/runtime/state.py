@@ -24,19 +24,6 @@ from maesn.runtime.search import LatentSearch
 
 
 @dataclass(frozen=True)
-class Undo:
-    """The state before the last update, to take that update back.
-
-    Attributes:
-        latent: the latent before the update.
-        mean_return: mean undiscounted return of the batch that was played with it.
-    """
-
-    latent: Latent
-    mean_return: float
-
-
-@dataclass(frozen=True)
 class ExplorerState:
     """State of an explorer.
 
@@ -45,7 +32,6 @@ class ExplorerState:
         update: number of updates so far, which decides the size of the next step.
         episodes: episodes to learn from, finished since the last update.
         running: the episode that is being played, if any.
-        undo: state to restore when the last update is taken back; None if there is none.
         search: state of the search; None where the latent follows its gradient.
         proposed: points of the search that several robots play, in the order of proposal.
         results: what other robots returned since the last update.
@@ -55,7 +41,6 @@ class ExplorerState:
     update: int = 0
     episodes: tuple[Episode, ...] = ()
     running: RunningEpisode | None = None
-    undo: Undo | None = None
     search: LatentSearch | None = None
     proposed: tuple[int, ...] = ()
     results: tuple[Reading, ...] = ()
@@ -152,9 +137,6 @@ class ExplorerState:
         kept = named("latent", self.latent, *LATENT) | episodes_to_arrays(self.episodes)
         if self.running is not None:
             kept |= self.running.arrays(exported.observation_size, exported.action_size)
-        if self.undo is not None:
-            kept |= named("undo", self.undo.latent, *LATENT)
-            kept["undo.mean_return"] = np.asarray(self.undo.mean_return)
         if self.search is None:
             return kept
         return kept | self.search.arrays() | _results_to_arrays(self.proposed, self.results)
@@ -171,12 +153,9 @@ class ExplorerState:
         """Rebuild a saved state; raises ValueError if a part is missing or does not fit."""
         size = exported.latent_size
         sizes = (exported.observation_size, exported.action_size, size)
-        running, undo = None, None
+        running = None
         if "running.latent" in arrays:
             running = RunningEpisode.from_arrays(arrays, *sizes, purpose=_purpose(metadata))
-        if "undo.mean" in arrays:
-            before = Latent(**taken(arrays, "undo", size, *LATENT))
-            undo = Undo(before, float(take(arrays, "undo.mean_return")))
         state = ExplorerState.new_task(exported)
         if state.search is not None:
             search = state.search.repeated(arrays)
@@ -188,7 +167,6 @@ class ExplorerState:
             update=entry(metadata, "update", int),
             episodes=episodes_from_arrays(arrays, *sizes),
             running=running,
-            undo=undo,
         )
 
 

@@ -71,7 +71,6 @@ def _safeguards(fields: dict[str, Any]) -> Safeguards:
 
 
 def _random_state(state: dict[str, Any]) -> dict[str, Any]:
-    """Return the state if NumPy accepts it."""
     try:
         np.random.default_rng(0).bit_generator.state = state
     except (KeyError, TypeError, ValueError) as error:

@@ -5,6 +5,7 @@ import itertools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -30,6 +31,16 @@ class SearchState:
     chosen: tuple[tuple[int, ...], ...]
     """The points to play next at the same time, indices into `LatentSearch.points`."""
     generators: tuple[np.random.Generator, ...]
+
+
+def latent_of(learner: AbstractFastLearner[Any]) -> AbstractSettableLatent:
+    """Return the latent of a learner that has one; raise a `ValueError` if it has none."""
+    if learner.latent is None:
+        raise ValueError(
+            "a search needs a policy with a latent, as that of `maesn`, `maesn_theta` or "
+            f"`latent_space`, but this method has a `{type(learner).__name__}` without one."
+        )
+    return learner.latent
 
 
 class SearchFastLearner(AbstractFastLearner[SearchState]):
@@ -93,7 +104,6 @@ class SearchFastLearner(AbstractFastLearner[SearchState]):
     def _propose(
         self, searches: Sequence[LatentSearch], generators: Sequence[np.random.Generator]
     ) -> SearchState:
-        """Return the state in which each search has chosen the points to play next."""
         own = copy.deepcopy(tuple(generators))  # those of the state before stay as they are
         pairs = zip(searches, own, strict=True)
         # A search may have added points that it proposes.

@@ -89,6 +89,18 @@ FEW = 5
 REPEATED, REPEATS = 20, 4
 
 
+def drawn_latents(size: int, number: int, spread: float, seed: int) -> np.ndarray:
+    """Draw latents from the widened prior N(0, spread^2 I), `[latent, z]`."""
+    return spread * np.random.default_rng(seed).standard_normal((number, size))
+
+
+def adapted_latents(latent: AbstractSettableLatent, collect: Collector, key: Key) -> np.ndarray:
+    """Return a latent of each training task, `[task, z]`, found with their dense reward."""
+    keys, slots = jax.random.split(key, collect.num_tasks), jnp.arange(collect.num_tasks)
+    parts = collect.parts(collect.num_tasks)
+    return np.concatenate([latent.of_tasks(collect, keys[part], slots[part]) for part in parts])
+
+
 def make_prior(
     latent: AbstractSettableLatent,
     world: AbstractWorld,

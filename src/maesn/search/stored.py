@@ -1,11 +1,9 @@
 """The prior over returns of a run, made once and kept beside its checkpoints."""
 
 import dataclasses
-import datetime
 import json
 import logging
 import math
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -23,10 +21,17 @@ from maesn.runs.log import TIMING
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
-from maesn.runtime.return_model import ReturnPrior
-from maesn.search.archive import adapted_latents, drawn_latents, latent_of
+from maesn.runtime.return_model import PRIOR_ARRAYS, PRIOR_NUMBERS, ReturnPrior
 from maesn.search.calibration import EPISODES, calibrated
-from maesn.search.prior import USUAL, PriorSettings, Progress, make_prior
+from maesn.search.learner import latent_of
+from maesn.search.prior import (
+    USUAL,
+    PriorSettings,
+    Progress,
+    adapted_latents,
+    drawn_latents,
+    make_prior,
+)
 from maesn.storage import RunError, read_json_lines, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
@@ -34,8 +39,6 @@ from maesn.worlds.collector import Collector
 logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
-_ARRAYS = ("latents", "excess", "noise")
-_NUMBERS = ("episodes", "offset_mean", "offset_std", "proposed_levels", "deployed_levels")
 # What a prior is bound to, as its file names it -> how a refusal begins.
 _ANOTHER = {
     "checkpoint": "other weights than those of the latest checkpoint of",
@@ -46,7 +49,6 @@ _ANOTHER = {
 _SEARCHES = np.uint32(2**32 - 3)  # folded into the key of the searches that calibrate
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 _STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
-_SECONDS_BETWEEN_LINES = 10.0  # of progress in a log file
 
 
 def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
@@ -108,10 +110,10 @@ def run_prior(
             / PRIORS
             / _file_name(world, settings.action_noise)
         )
-        arrays = {name: getattr(prior, name).astype(np.float32) for name in _ARRAYS}
+        arrays = {name: getattr(prior, name).astype(np.float32) for name in PRIOR_ARRAYS}
         if settings.searches and not settings.action_noise:
             prior = _calibrated(prior, run, latent, world.env, settings)
-        numbers = {name: getattr(prior, name) for name in _NUMBERS}
+        numbers = {name: getattr(prior, name) for name in PRIOR_NUMBERS}
         bound = bound_to(run, state, world, settings.action_noise)
         metadata = bound | {"numbers": json.dumps(numbers)}
     save_checkpoint(path, arrays, metadata)
@@ -190,7 +192,6 @@ def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
 
 
 def _command(run: Run, env: AnyEnv, action_noise: bool) -> str:
-    """Return the command that makes the prior of a run for an environment's reward."""
     command = f"maesn prior {run.typed}"
     if action_noise:
         command += " --action-noise True"
@@ -217,42 +218,11 @@ def _speed(run: Run) -> float:
 
 @contextmanager
 def played_live() -> Iterator[Progress]:
-    """Show how much of an archive has been played, and the time left.
-
-    A terminal shows a bar; a log file gets a line every ten seconds, and one at the end.
-    """
+    """Show on a terminal how much of an archive has been played, and the time left."""
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _Lines(console)
-        return
-    with ProgressBar(console=console, transient=True) as bar:
+    with ProgressBar(console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task("latents played", total=None)
         yield lambda played, of: bar.update(shown, completed=played, total=of)
-
-
-class _Lines:
-    """Progress in lines of text. The first batch also compiles: the speed is that of the others."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._begun: tuple[float, int] | None = None
-        self._said = 0.0
-
-    def __call__(self, played: int, of: int) -> None:
-        now = time.monotonic()
-        if self._begun is None:
-            self._begun, self._said = (now, played), now
-        begun, before = self._begun
-        if played == of:
-            self._say(f"all {of:,}")
-        elif now - self._said >= _SECONDS_BETWEEN_LINES:
-            seconds = (now - begun) * (of - played) / (played - before)
-            left = datetime.timedelta(seconds=round(seconds))
-            self._say(f"{played:,} of {of:,}, {left} left")
-            self._said = now
-
-    def _say(self, text: str) -> None:
-        self._console.print(f"latents played: {text}", highlight=False, soft_wrap=True)
 
 
 def bound_to(run: Run, state: Any, world: AbstractWorld, action_noise: bool) -> dict[str, str]:
@@ -269,7 +239,7 @@ def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
     """Read a prior and its metadata, see `bound_to`; raises `RunError` if it is damaged."""
     values, metadata = read_checkpoint(path)
     try:
-        held: dict[str, Any] = {name: values[name].astype(np.float64) for name in _ARRAYS}
+        held: dict[str, Any] = {name: values[name].astype(np.float64) for name in PRIOR_ARRAYS}
         return ReturnPrior(**held, **parse_json(metadata["numbers"])), metadata
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` is no prior that `maesn prior` wrote ({error}).") from error

@@ -54,8 +54,9 @@ def sampled_distributions(
     agents = objective.start(parameters)
     is_small = objective.adaptation.policy is None and objective.context.is_pathwise
     move = _moved_contexts if is_small else _moved
-    for experience, exact in zip(objective.pre, jax.lax.stop_gradient(updated), strict=True):
-        thinned = _thin(experience, inner)
+    exact_stages = jax.lax.stop_gradient(updated)
+    for (episodes, advantages), exact in zip(objective.pre, exact_stages, strict=True):
+        thinned = episodes.every(*inner), advantages.every(*inner)
         agents = move(objective, agents, parameters.step_sizes, thinned, exact)
     return agents.map(post_distributions, objective.post.every(*outer), how="vmap")
 
@@ -118,8 +119,3 @@ def _moved_contexts(
     jacobians = fixed.map(jacobian_of, *thinned)
     differences = map_tasks(linear, jacobians, agents.context, how="vmap")
     return replace(agents, context=jax.tree.map(jnp.add, exact.context, differences))
-
-
-def _thin(experience: Experience, thinning: Thinning) -> Experience:
-    episodes, advantages = experience
-    return episodes.every(*thinning), advantages.every(*thinning)

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import StepSizes
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters
 from maesn.numerics import mesh
@@ -53,14 +52,15 @@ def describe_step(
     objective: MetaObjective, old: MetaParameters, new: MetaParameters, step: Any
 ) -> GradientInfo:
     """Return the scalars that describe one outer step from `old` to `new`."""
-    first = objective.pre[0][0] if objective.pre else objective.post
+    post = objective.post
+    first = objective.pre[0][0] if objective.pre else post
     count, first_task = _nonfinite_tasks(objective, old, step.loss_before)
     return GradientInfo(
         return_before=mesh.mean(first.undiscounted_return.mean()),
-        return_after=mesh.mean(objective.post.undiscounted_return.mean()),
-        success_after=mesh.mean(objective.post.success.mean()),
+        return_after=mesh.mean(post.undiscounted_return.mean()),
+        success_after=mesh.mean(post.success.mean()),
         penalty=mesh.mean(objective.penalties(old).mean()),
-        action_std=_mean_std(objective.post),
+        action_std=mesh.mean_of_valid(post.behaviour.std().mean(-1), post.valid),
         outer=step,
         shares=_group_shares(old, new),
         step_sizes=jax.tree.map(lambda x: x.mean() if x.size else jnp.zeros(()), new.step_sizes),
@@ -80,10 +80,6 @@ def _group_shares(old: MetaParameters, new: MetaParameters) -> GroupShares:
     total = policy + context + sizes
     scale = jnp.where(total > 0, 1.0 / jnp.where(total > 0, total, 1.0), 0.0)
     return GroupShares(policy * scale, context * scale, sizes * scale)
-
-
-def _mean_std(episodes: Episodes) -> Float[Array, ""]:
-    return mesh.mean_of_valid(episodes.behaviour.std().mean(-1), episodes.valid)
 
 
 def _nonfinite_tasks(

@@ -17,12 +17,11 @@ from maesn.axes import ActionKind, Key
 from maesn.context import AbstractContextSettings
 from maesn.experience.agent import Agent, Agents
 from maesn.experience.episodes import Collect, Episodes, concatenate
-from maesn.inner.adaptation import Adaptation, StepSchedule
-from maesn.inner.advantage import AdvantageEstimator
+from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
+from maesn.inner.advantage import AdvantageEstimator, Advantages
 from maesn.learners.fast import Capabilities
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.info import GradientInfo, describe_step
-from maesn.learners.gradient.inner_update import adapt, estimate
 from maesn.learners.gradient.objective import (
     Experience,
     MetaObjective,
@@ -83,7 +82,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         self.outer.check_policy(self.policy)
 
     def _check_adaptation(self) -> None:
-        """Refuse inner steps that could not move anything."""
         moved = self.adaptation.policy, self.adaptation.context
         if self.adaptation.context is not None and not self.context.is_adaptable:
             raise ValueError(
@@ -97,11 +95,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             )
 
     def init(self, key: Key, problem: Problem) -> GradientState:
-        """See `AbstractMetaLearner.init`.
-
-        Raises:
-            ValueError: the training set holds fewer tasks than one meta-batch.
-        """
         check_enough_tasks(problem.num_tasks, self.meta_batch_size)
         context_key, policy_key = jax.random.split(key)
         table = self.context.init(context_key, problem.num_tasks, problem.description_size)
@@ -116,9 +109,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             statistics = no_observations(problem.observation_size)
         opt_state = self.outer.init(parameters)
         return GradientState(parameters, jnp.zeros((), int), statistics, opt_state)
-
-    def iteration(self, state: GradientState) -> Int[Array, ""]:
-        return state.iteration
 
     def weights(self, state: GradientState) -> Any:
         return state.parameters, state.statistics
@@ -139,7 +129,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return replace(self, policy=self.policy.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
-        """See `AbstractMetaLearner.check_batch`: the inner update must be able to move."""
+        """The inner update must be able to move."""
         check_split(self.meta_batch_size)
         needed = self.adaptation.at(0).least_episodes(self.context) if self.inner_updates else 1
         Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
@@ -180,10 +170,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         for phase in range(self.inner_updates):
             keys = task_keys(play_key, phase, self.meta_batch_size)
             episodes = collect(keys, agents, index, stage=phase)
-            advantages = estimate(self.advantage, episodes)
-            sizes = parameters.step_sizes
-            agents = adapt(adaptation, self.context, agents, sizes, episodes, advantages)
-            pre.append((episodes, advantages))
+            pre.append((episodes, self._advantages(episodes)))
+            agents = self._adapted(adaptation, agents, parameters.step_sizes, pre[-1])
             updated.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
         objective = MetaObjective(
@@ -192,7 +180,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             index,
             tuple(pre),
             post,
-            estimate(self.advantage, post),
+            self._advantages(post),
             state.statistics,
         )
         return self._improve(state, objective, tuple(updated), curvature_key)
@@ -213,7 +201,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _play_outer(
         self, key: Key, agents: Agents, index: Int[Array, " task"], collect: Collect
     ) -> Episodes:
-        """Collect the episodes that the outer step learns from."""
         keys = [
             task_keys(key, self.inner_updates + batch, self.meta_batch_size)
             for batch in range(self.outer_batches)
@@ -228,26 +215,33 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     def _improve(
         self, state: GradientState, objective: MetaObjective, updated: tuple[Agents, ...], key: Key
     ) -> tuple[GradientState, GradientInfo]:
-        """Do the outer step. Beyond this point only the meta-parameters vary.
-
-        Args:
-            state: the state before the step.
-            objective: the objective on the episodes of this meta-iteration.
-            updated: the agents after each inner update, `objective.updated(parameters)`.
-            key: of the outer step.
-        """
-        shared, rows = objective.parts()
-        common, own = (
-            zip(*(agents.parts() for agents in updated), strict=True) if updated else ((), ())
-        )
-        (after, info), _ = over_tasks(self._improved, (state, key, shared, common), (rows, own))
+        """Do the outer step. Beyond this point only the meta-parameters vary."""
+        parts = [agents.parts() for agents in updated]
+        common, own = tuple(common for common, _ in parts), tuple(own for _, own in parts)
+        shared = state, key, objective.adaptation, common
+        (after, info), _ = over_tasks(self._improved, shared, (objective.rows, own))
         return after, info
 
+    def _advantages(self, episodes: Episodes) -> Advantages:
+        advantages: Advantages
+        _, advantages = over_tasks(_estimate, self.advantage, episodes)
+        return advantages
+
+    def _adapted(
+        self, adaptation: Adaptation, agents: Agents, sizes: StepSizes, experience: Experience
+    ) -> Agents:
+        common, own = agents.parts()
+        _, own = over_tasks(_adapt, (adaptation, self.context, sizes, common), (own, *experience))
+        return Agents.of_parts(common, own)
+
+    # `over_tasks` runs the following.
     def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
-        """Do the outer step on this device's tasks."""
-        state, key, common, common_agents = shared
-        objective = MetaObjective.of_parts(common, rows[0])
-        updated = tuple(map(Agents.of_parts, common_agents, rows[1]))
+        state, key, adaptation, common = shared
+        (index, pre, post, advantages), own = rows
+        objective = MetaObjective(
+            self.context, adaptation, index, pre, post, advantages, state.statistics
+        )
+        updated = tuple(map(Agents.of_parts, common, own))
         parameters = state.parameters
         improved, opt_state, step = self.outer(key, parameters, state.opt_state, objective, updated)
         done = state.iteration + 1
@@ -256,3 +250,15 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             replace(improved, policy=policy), done, objective.statistics_after(), opt_state
         )
         return (after, describe_step(objective, parameters, improved, step)), None
+
+
+# `over_tasks` runs these. All that they return has a row per task, so their shared result is None.
+def _estimate(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
+    return None, estimator.of_tasks(episodes)
+
+
+def _adapt(shared: Any, rows: Any) -> tuple[None, Any]:
+    adaptation, context, sizes, common = shared
+    own, episodes, advantages = rows
+    agents = Agents.of_parts(common, own)
+    return None, adaptation(agents, sizes, context, episodes, advantages).parts()[1]

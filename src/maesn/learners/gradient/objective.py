@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -67,16 +68,10 @@ class MetaObjective(eqx.Module):
     """Advantages of `post`."""
     statistics: ObservationStatistics | None = None
 
-    def parts(self) -> tuple[Any, Any]:
-        """Split into what all tasks share and what has a row per task; `of_parts` joins them."""
-        shared = self.context, self.adaptation, self.statistics
-        return shared, (self.index, self.pre, self.post, self.advantages)
-
-    @staticmethod
-    def of_parts(shared: Any, rows: Any) -> "MetaObjective":
-        """Join the results of `parts`."""
-        (context, adaptation, statistics), (index, pre, post, advantages) = shared, rows
-        return MetaObjective(context, adaptation, index, pre, post, advantages, statistics)
+    @property
+    def rows(self) -> tuple[Any, ...]:
+        """What has a row per task."""
+        return self.index, self.pre, self.post, self.advantages
 
     def start(self, parameters: MetaParameters) -> Agents:
         """Return the agents before the inner updates."""
@@ -128,7 +123,8 @@ class MetaObjective(eqx.Module):
             return (state[0] < tasks) & ~(state[1].kl > enough)
 
         def add(state: tuple[Int[Array, ""], Candidate]) -> tuple[Int[Array, ""], Candidate]:
-            found = self._task(state[0]).evaluate_at_once(parameters)
+            row = jax.tree.map(lambda x: x[state[0]], self.rows)
+            found = self._alone(row).evaluate_at_once(parameters)
             return state[0] + 1, jax.tree.map(jnp.add, state[1], found)
 
         nothing = Candidate(jnp.zeros(()), jnp.zeros(()))
@@ -156,10 +152,16 @@ class MetaObjective(eqx.Module):
             parameters: where the gradient is taken.
         """
 
-        def differentiate(task: MetaObjective) -> tuple[Float[Array, ""], MetaParameters]:
+        def differentiate(*row: Any) -> tuple[Float[Array, ""], MetaParameters]:
+            task = self._alone(row)
             return jax.value_and_grad(lambda varied: loss(task, varied))(parameters)
 
-        return _mean_over_tasks(self._each(differentiate))
+        # In turn, because the activations of one task fit in a CPU's cache; those of all do not.
+        found = map_tasks(differentiate, *self.rows, how="serial")
+        averages: tuple[Float[Array, ""], MetaParameters] = mesh.mean(
+            jax.tree.map(lambda x: x.mean(0), found)
+        )
+        return averages
 
     def evaluate_at_once(self, parameters: MetaParameters) -> Candidate:
         """Return the same as `evaluate`, with all tasks at once instead of one after another."""
@@ -198,20 +200,7 @@ class MetaObjective(eqx.Module):
         surrogates: Array = map_tasks(outer_loss, new, self.post, self.advantages, how="vmap")
         return surrogates
 
-    def _task(self, row: Int[Array, ""]) -> "MetaObjective":
-        """Return the objective of a single task."""
-        return self._alone(jax.tree.map(lambda x: x[row], self.parts()[1]))
-
-    def _alone(self, row: Any) -> "MetaObjective":
-        """Return the objective of a single task, from its row of `parts`."""
-        return self.of_parts(self.parts()[0], jax.tree.map(lambda x: x[None], row))
-
-    def _each(self, function: Callable[["MetaObjective"], Any]) -> Any:
-        """Map a function of the objective of a single task over the tasks."""
-        # In turn, because the activations of one task fit in a CPU's cache; those of all do not.
-        rows = self.parts()[1]
-        return map_tasks(lambda *row: function(self._alone(row)), *rows, how="serial")
-
-
-def _mean_over_tasks(stacked: Any) -> Any:
-    return mesh.mean(jax.tree.map(lambda x: x.mean(0), stacked))
+    def _alone(self, row: tuple[Any, ...]) -> "MetaObjective":
+        """Return the objective of a single task, from its row of `rows`."""
+        index, pre, post, advantages = jax.tree.map(lambda x: x[None], row)
+        return replace(self, index=index, pre=pre, post=post, advantages=advantages)

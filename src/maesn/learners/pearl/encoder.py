@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import Key
 from maesn.context import Latent
 from maesn.networks import MLP, init_mlp
-from maesn.settings import check_number
+from maesn.settings import check_number, check_sizes
 
 # Least variance of a factor, from the reference.
 LEAST_VARIANCE = 1e-7
@@ -87,10 +87,8 @@ class EncoderSettings(eqx.Module):
     def __check_init__(self) -> None:
         check_number("latent_size", self.latent_size, 1)
         check_number("context_size", self.context_size, 1)
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
-        if not self.kl_weight >= 0:
-            raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
+        check_sizes(self, "hidden_sizes")
+        check_number("kl_weight", self.kl_weight, 0)
 
     def init(self, key: Key, observation_size: int, action_size: int) -> ContextEncoder:
         """Return freshly initialised weights."""

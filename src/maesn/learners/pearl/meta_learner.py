@@ -22,7 +22,7 @@ from maesn.learners.pearl.replay import Replay, replay_features
 from maesn.learners.pearl.sac import Optimisers, SoftActorCritic
 from maesn.learners.pearl.state import Networks, PearlInfo, PearlState
 from maesn.numerics import DiagonalGaussian, if_finite
-from maesn.numerics.mesh import num_devices
+from maesn.numerics.mesh import refuse_sharing
 from maesn.policies import AbstractPolicy
 from maesn.settings import check_choice, check_number
 
@@ -86,12 +86,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         return self.prior_batches + self.posterior_batches + self.extra_batches
 
     def init(self, key: Key, problem: Problem) -> PearlState:
-        """See `AbstractMetaLearner.init`.
-
-        Raises:
-            ValueError: actions are choices, there are fewer training tasks than are played at once,
-                or a visit to a task does not fit into the replay.
-        """
         if problem.action_kind != "continuous":
             raise ValueError("PEARL learns by a soft actor-critic for continuous actions only.")
         for name in ("visited_tasks", "initial_tasks"):
@@ -122,9 +116,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
             )
         return capacity
 
-    def iteration(self, state: PearlState) -> Int[Array, ""]:
-        return state.iteration
-
     def weights(self, state: PearlState) -> Networks:
         """Return all networks: a policy without its critics could not go on learning."""
         return state.networks
@@ -141,16 +132,8 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         return steps + 100_000 * iterations
 
     def check_batch(self, episodes_per_task: int) -> None:
-        """See `AbstractMetaLearner.check_batch`: one device learns, because one holds the replay.
-
-        Raises:
-            ValueError: several devices share the tasks.
-        """
-        if num_devices() > 1:
-            raise ValueError(
-                f"`pearl` learns on one device, but {num_devices()} share the tasks: train it "
-                "without sharing."
-            )
+        """One device learns, because one holds the replay."""
+        refuse_sharing("pearl")
 
     def fast_learner(self, state: PearlState) -> PearlFastLearner:
         networks = state.networks
@@ -201,7 +184,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
     def _visit(
         self, key: Key, networks: Networks, replay: Replay, collect: Collect
     ) -> tuple[Replay, list[Episodes]]:
-        """Play all batches of `visited_tasks` tasks."""
         task_key, play_key, context_key = jax.random.split(key, 3)
         tasks = draw_tasks(task_key, collect.num_tasks, self.visited_tasks)
         played: list[Episodes] = []
@@ -221,7 +203,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
     def _posterior(
         self, encoder: ContextEncoder, replay: Replay, tasks: Int[Array, " task"], key: Key
     ) -> Latent:
-        """Return the posteriors of some tasks, from a draw of their contexts."""
         drawn = replay.sample_context(key, tasks, self.encoder.context_size)
         context = drawn.context(self.encoder.next_observation)
         return jax.vmap(encoder)(context, jnp.ones(context.shape[:2], bool)).posterior()

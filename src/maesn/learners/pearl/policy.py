@@ -43,9 +43,6 @@ class SquashedPolicy(AbstractPolicy):
         mean, log_std = jnp.split(self.mlp(jnp.concatenate([observation, z])), 2)
         return SquashedGaussian(mean, jnp.clip(log_std, *LOG_STD_BOUNDS))
 
-    def initial_recurrent_state(self) -> RecurrentState:
-        return None
-
 
 def init_policy(key: Key, sizes: tuple[int, ...], shown: ObservedReward) -> SquashedPolicy:
     """Return a policy that acts nearly alike everywhere.

@@ -22,7 +22,7 @@ from maesn.learners.pearl.policy import SquashedPolicy, init_policy
 from maesn.learners.pearl.replay import Batch
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import first_order_step
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_number, check_positive, check_sizes
 
 Encoder = TypeVar("Encoder")
 
@@ -83,13 +83,10 @@ class SoftActorCritic(eqx.Module):
     def __check_init__(self) -> None:
         check_number("batch_size", self.batch_size, 1)
         check_positive(self, "reward_scale", "learning_rate")
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
-        if not self.output_penalty >= 0:
-            raise ValueError(f"`output_penalty` must be at least 0, got {self.output_penalty}.")
+        check_sizes(self, "hidden_sizes")
+        check_number("output_penalty", self.output_penalty, 0)
         for name in ("discount", "target_rate"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"`{name}` must lie in [0, 1], got {getattr(self, name)}.")
+            check_number(name, getattr(self, name), 0, 1)
 
     def init(
         self, key: Key, observation_size: int, action_size: int, z_size: int, shown: ObservedReward

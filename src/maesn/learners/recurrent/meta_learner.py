@@ -14,18 +14,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from maesn.axes import ActionKind, Key
-from maesn.context import Nothing
-from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.meta import AbstractMetaLearner, Problem
-from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.axes import Key
+from maesn.experience.episodes import Episodes
+from maesn.learners.meta import Problem
+from maesn.learners.meta_batch import check_enough_tasks
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent.value import RecurrentValue
 from maesn.learners.trial_learner import RecurrentFastLearner
+from maesn.learners.trial_meta import AbstractTrialMetaLearner, TrialInfo, describe_trials
 from maesn.learners.trial_value import ValueState, explained_variance
-from maesn.learners.trials import Trials, check_trials, join_episodes
-from maesn.numerics import mesh, standardize, trial_advantages
+from maesn.learners.trials import Trials, join_episodes
+from maesn.numerics import mesh, standardize
 from maesn.numerics.mesh import at_once, check_split, over_tasks
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
@@ -40,19 +39,9 @@ class RecurrentMetaState(eqx.Module):
     iteration: Int[Array, ""]
 
 
-class RecurrentInfo(eqx.Module):
+class RecurrentInfo(TrialInfo):
     """Info of one meta-iteration: scalars only."""
 
-    return_before: Float[Array, ""]
-    """Mean undiscounted return of the first episodes of the trials."""
-    return_after: Float[Array, ""]
-    """Mean undiscounted return of their last episodes."""
-    success_after: Float[Array, ""]
-    """Share of the last episodes that reach the goal region."""
-    action_std: Float[Array, ""]
-    """Mean standard deviation of the actions."""
-    entropy: Float[Array, ""]
-    """Mean entropy of the action distributions, in nats."""
     explained_variance: Float[Array, ""]
     """Share of the variance of the returns that the value function explained before the fit."""
     value_accepted: Bool[Array, ""]
@@ -61,7 +50,7 @@ class RecurrentInfo(eqx.Module):
     """Info of the policy's step."""
 
 
-class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo]):
+class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, RecurrentInfo]):
     """Plays trials and improves a recurrent policy on them."""
 
     policy: AbstractPolicySettings = Recurrent()
@@ -81,7 +70,6 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
     """lambda of generalised advantage estimation. garage's RL2: 0.95."""
 
     def __check_init__(self) -> None:
-        check_trials(self)
         if self.trial_episodes > 1 and not self.policy.is_recurrent:
             raise ValueError(
                 f"`trial_episodes` is {self.trial_episodes}, but a policy of `"
@@ -90,11 +78,6 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
             )
 
     def init(self, key: Key, problem: Problem) -> RecurrentMetaState:
-        """See `AbstractMetaLearner.init`.
-
-        Raises:
-            ValueError: the training set holds fewer tasks than one meta-batch.
-        """
         check_enough_tasks(problem.num_tasks, self.meta_batch_size)
         policy_key, value_key = jax.random.split(key)
         sizes = problem.observation_size, problem.action_size
@@ -103,14 +86,8 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         opt_state = self.policy_step.init(policy)
         return RecurrentMetaState(policy, opt_state, value, jnp.zeros((), int))
 
-    def iteration(self, state: RecurrentMetaState) -> Int[Array, ""]:
-        return state.iteration
-
     def weights(self, state: RecurrentMetaState) -> AbstractPolicy:
         return state.policy
-
-    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
-        return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
 
     def effort(self, steps: int, iterations: int) -> int:
         return 2 * steps  # policy and value go through trials step by step
@@ -119,46 +96,16 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
         """Return how the policy is improved."""
         return (type(self), type(self.policy_step))
 
-    def for_actions(self, kind: ActionKind) -> "RecurrentMetaLearner":
-        return replace(self, policy=self.policy.for_actions(kind))
-
     def check_batch(self, episodes_per_task: int) -> None:
-        """See `AbstractMetaLearner.check_batch`: a trial is a sample, and no minibatch is empty."""
         check_split(self.meta_batch_size)
-        trials = self.meta_batch_size * episodes_per_task
-        parts = {
-            "policy_step": self.policy_step.minibatches,
-            "value": self.value.descent.minibatches,
-        }
-        for owner, minibatches in parts.items():
-            if trials < minibatches:
-                raise ValueError(
-                    f"`{owner}.descent.minibatches` is {minibatches}, but a meta-iteration has "
-                    f"only {trials} trials, {episodes_per_task} in each of "
-                    f"{self.meta_batch_size} tasks: lower it, or play more."
-                )
+        super().check_batch(episodes_per_task)
 
     def fast_learner(self, state: RecurrentMetaState) -> RecurrentFastLearner:
-        """Return the learner of new tasks: its policy goes on through their trials."""
         return RecurrentFastLearner(state.policy, self.trial_episodes)
 
-    def step(
-        self, key: Key, state: RecurrentMetaState, collect: Collect
-    ) -> tuple[RecurrentMetaState, RecurrentInfo]:
-        task_key, play_key, learn_key = jax.random.split(key, 3)
-        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
-        episodes: list[Episodes] = []
-        for number in range(self.trial_episodes):
-            keys = task_keys(play_key, number, self.meta_batch_size)
-            trial_state = episodes[-1].trial_end if episodes else None
-            agents = Agents(state.policy, Nothing(), shares_policy=True, trial_state=trial_state)
-            episodes.append(collect(keys, agents, index, stage=number))
-        return self._improve(learn_key, state, tuple(episodes))
-
-    def _improve(
+    def improved(
         self, key: Key, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
     ) -> tuple[RecurrentMetaState, RecurrentInfo]:
-        """Improve the policy and the value function, which learn from the same trials."""
         policy_key, value_key = jax.random.split(key)
         _, judged = over_tasks(self._judge, state, episodes)
         (improved, _), (fitted, _) = at_once(
@@ -199,21 +146,7 @@ class RecurrentMetaLearner(AbstractMetaLearner[RecurrentMetaState, RecurrentInfo
 
     @staticmethod
     def _seen(state: RecurrentMetaState, trials: Trials) -> Trials:
-        """Return trials with the inputs that the policy's network reads."""
         return replace(trials, inputs=state.policy.seen(trials.inputs))
-
-    def advantages(
-        self, trials: Trials, expected: Float[Array, "trial time"]
-    ) -> Float[Array, "trial time"]:
-        """Return the advantage of every step, over the whole trial and not standardised.
-
-        Args:
-            trials: the trials to learn from.
-            expected: V_t.
-        """
-        return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
-            trials.reward, expected, trials.valid, self.discount, self.gae_lambda
-        )
 
 
 class _Judged(NamedTuple):
@@ -226,15 +159,9 @@ class _Judged(NamedTuple):
 
 def _describe(shared: Any, rows: Any) -> tuple[RecurrentInfo, None]:
     (value_accepted, policy_step), (episodes, (trials, advantages, expected)) = shared, rows
-    first, last = episodes[0], episodes[-1]
-    valid, behaviour = trials.valid, trials.behaviour
     return RecurrentInfo(
-        return_before=mesh.mean(first.undiscounted_return.mean()),
-        return_after=mesh.mean(last.undiscounted_return.mean()),
-        success_after=mesh.mean(last.success.mean()),
-        action_std=mesh.mean_of_valid(behaviour.std().mean(-1), valid),
-        entropy=mesh.mean_of_valid(behaviour.entropy(), valid),
-        explained_variance=explained_variance(advantages, expected, valid),
+        **describe_trials(episodes, trials),
+        explained_variance=explained_variance(advantages, expected, trials.valid),
         value_accepted=value_accepted,
         policy_step=policy_step,
     ), None

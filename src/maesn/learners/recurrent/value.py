@@ -7,9 +7,10 @@ from jaxtyping import Array, Float
 from maesn.axes import Key
 from maesn.learners.trial_value import AbstractTrialValue, elapsed_share
 from maesn.learners.trials import Trials
-from maesn.networks import RecurrentNetwork, check_sizes, init_recurrent_network
+from maesn.networks import RecurrentNetwork, init_recurrent_network
 from maesn.numerics import MinibatchDescent
 from maesn.policies import input_features, input_size
+from maesn.settings import check_number, check_sizes
 
 
 class RecurrentValue(AbstractTrialValue[RecurrentNetwork]):
@@ -29,7 +30,8 @@ class RecurrentValue(AbstractTrialValue[RecurrentNetwork]):
     """The optimiser of the fit."""
 
     def __check_init__(self) -> None:
-        check_sizes(self)
+        check_sizes(self, "encoder_sizes", "readout_sizes")
+        check_number("hidden_size", self.hidden_size, 1)
 
     def init_network(self, key: Key, observation_size: int, action_size: int) -> RecurrentNetwork:
         return init_recurrent_network(

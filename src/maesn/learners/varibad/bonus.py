@@ -22,7 +22,7 @@ from maesn.axes import Key
 from maesn.learners.trial_value import mean_and_std, moments_after
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import discounted_returns, first_order_step
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_number, check_positive, check_sizes
 
 
 class BonusState(eqx.Module):
@@ -65,11 +65,9 @@ class HyperBonus(eqx.Module):
         for name in ("last_iteration", "output_size", "batch_size", "updates"):
             check_number(name, getattr(self, name), 1)
         check_positive(self, "input_scale", "learning_rate")
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
+        check_sizes(self, "hidden_sizes")
         for name in ("novelty_weight", "error_weight"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"`{name}` must be at least 0, got {getattr(self, name)}.")
+            check_number(name, getattr(self, name), 0)
 
     @property
     def is_used(self) -> bool:

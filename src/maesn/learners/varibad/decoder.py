@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import Key
 from maesn.learners.varibad.steps import Steps
 from maesn.networks import MLP, init_mlp
-from maesn.settings import check_choice, check_positive
+from maesn.settings import check_choice, check_positive, check_sizes
 
 # gaussian: the reward itself. bernoulli: whether it is positive.
 Likelihood: TypeAlias = Literal["gaussian", "bernoulli"]
@@ -52,9 +52,7 @@ class BeliefDecoderSettings(eqx.Module):
     def __check_init__(self) -> None:
         check_choice("likelihood", self.likelihood, Likelihood)
         check_positive(self, "reward_std", "transition_std")
-        for name in ("hidden_sizes", "cells"):
-            if any(size < 1 for size in getattr(self, name)):
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        check_sizes(self, "hidden_sizes", "cells")
 
     def init(self, key: Key, latent_size: int, observation_size: int, action_size: int) -> Decoder:
         """Return freshly initialised weights.

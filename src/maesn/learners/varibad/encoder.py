@@ -14,8 +14,9 @@ from jaxtyping import Array, Float
 
 from maesn.axes import Key
 from maesn.learners.varibad.steps import Steps
-from maesn.networks import GRU, MLP, Linear, check_sizes, init_gru, init_mlp
+from maesn.networks import GRU, MLP, Linear, init_gru, init_mlp
 from maesn.numerics import DiagonalGaussian
+from maesn.settings import check_number, check_sizes
 
 
 class BeliefEncoder(eqx.Module):
@@ -83,9 +84,9 @@ class BeliefEncoderSettings(eqx.Module):
     """Widths of the hidden layers between h and the posterior. Reference: none."""
 
     def __check_init__(self) -> None:
-        check_sizes(self)
-        if self.latent_size < 1:
-            raise ValueError(f"`latent_size` must be at least 1, got {self.latent_size}.")
+        check_sizes(self, "encoder_sizes", "readout_sizes")
+        for name in ("hidden_size", "latent_size"):
+            check_number(name, getattr(self, name), 1)
 
     def init(self, key: Key, observation_size: int, action_size: int) -> BeliefEncoder:
         """Return freshly initialised weights."""

@@ -72,8 +72,7 @@ class BeliefInference(eqx.Module):
         for name in ("prefixes", "decoded_steps", "buffer_trials", "batch_size", "updates"):
             check_number(name, getattr(self, name), 1)
         check_positive(self, "learning_rate")
-        if not self.kl_weight >= 0:
-            raise ValueError(f"`kl_weight` must be at least 0, got {self.kl_weight}.")
+        check_number("kl_weight", self.kl_weight, 0)
 
     def init(self, encoder: BeliefEncoder, decoder: Decoder) -> Any:
         """Return the state of Adam before the first step."""

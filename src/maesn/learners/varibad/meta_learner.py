@@ -13,18 +13,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Key, ObservedReward
-from maesn.context import Nothing
-from maesn.experience.agent import Agents
-from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.meta import AbstractMetaLearner, Problem, TaskBelief
-from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
+from maesn.axes import Key, ObservedReward
+from maesn.experience.episodes import Episodes
+from maesn.learners.meta import Problem, TaskBelief
+from maesn.learners.meta_batch import check_enough_tasks
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.trial_learner import RecurrentFastLearner
+from maesn.learners.trial_meta import AbstractTrialMetaLearner, describe_trials
 from maesn.learners.trial_value import explained_variance
-from maesn.learners.trials import Trials, check_trials, join_episodes
+from maesn.learners.trials import Trials, join_episodes
 from maesn.learners.varibad.bonus import BonusState, HyperBonus
 from maesn.learners.varibad.decoder import BeliefDecoderSettings
 from maesn.learners.varibad.encoder import BeliefEncoderSettings
@@ -38,9 +37,8 @@ from maesn.numerics import (
     MinibatchDescent,
     masked_mean,
     standardize,
-    trial_advantages,
 )
-from maesn.numerics.mesh import num_devices
+from maesn.numerics.mesh import refuse_sharing
 from maesn.numerics.normalization import no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.settings import check_choice
@@ -52,7 +50,7 @@ MOST_BUFFER_BYTES = 150_000_000
 _DRAWS = 64  # of m, whose predictions a belief averages
 
 
-class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
+class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     """Plays trials, and learns from them to believe and to act."""
 
     encoder: BeliefEncoderSettings = BeliefEncoderSettings()
@@ -85,16 +83,9 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
     """lambda of generalised advantage estimation. Reference: 0.95 on GridNavi, 0.9 elsewhere."""
 
     def __check_init__(self) -> None:
-        check_trials(self)
         check_choice("observed_reward", self.observed_reward, ObservedReward)
 
     def init(self, key: Key, problem: Problem) -> VaribadState:
-        """See `AbstractMetaLearner.init`.
-
-        Raises:
-            ValueError: the training set holds fewer tasks than one meta-batch, or observations do
-                not fit the decoder.
-        """
         check_enough_tasks(problem.num_tasks, self.meta_batch_size)
         keys = jax.random.split(key, 5)
         latent, sizes = self.encoder.latent_size, (problem.observation_size, problem.action_size)
@@ -120,9 +111,6 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
         most = MOST_BUFFER_BYTES // (4 * features * time)
         return max(min(self.inference.buffer_trials, most), 1), time
 
-    def iteration(self, state: VaribadState) -> Int[Array, ""]:
-        return state.iteration
-
     def weights(self, state: VaribadState) -> BeliefNetworks:
         return state.networks
 
@@ -147,55 +135,19 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
         std = belief.std()
         return TaskBelief(belief.mean, std, jax.vmap(jax.vmap(predicted))(belief.mean, std))
 
-    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
-        return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
-
     def effort(self, steps: int, iterations: int) -> int:
         return 4 * steps  # encoder, decoder and policy go through trials step by step
 
-    def for_actions(self, kind: ActionKind) -> "VaribadMetaLearner":
-        return replace(self, policy=self.policy.for_actions(kind))
-
     def check_batch(self, episodes_per_task: int) -> None:
-        """See `AbstractMetaLearner.check_batch`: no minibatch is empty, and one device learns.
-
-        Raises:
-            ValueError: there are too few trials, or several devices share the tasks.
-        """
-        if num_devices() > 1:
-            raise ValueError(
-                f"`varibad` learns on one device, but {num_devices()} share the tasks: train it "
-                "without sharing."
-            )
-        trials = self.meta_batch_size * episodes_per_task
-        least = max(self.policy_step.minibatches, self.value.descent.minibatches)
-        if trials < least:
-            raise ValueError(
-                f"a meta-iteration has only {trials} trials, {episodes_per_task} in each of "
-                f"{self.meta_batch_size} tasks, for {least} minibatches: lower "
-                "`descent.minibatches` of `policy_step` and `value`, or play more."
-            )
+        refuse_sharing("varibad")
+        super().check_batch(episodes_per_task)
 
     def fast_learner(self, state: VaribadState) -> RecurrentFastLearner:
         """Return the learner of new tasks: without noise, as the reference evaluates it."""
         return RecurrentFastLearner(state.networks.policy, self.trial_episodes, is_noisy=False)
 
-    def step(
-        self, key: Key, state: VaribadState, collect: Collect
-    ) -> tuple[VaribadState, VaribadInfo]:
-        task_key, play_key, learn_key = jax.random.split(key, 3)
-        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
-        episodes: list[Episodes] = []
-        for number in range(self.trial_episodes):
-            keys = task_keys(play_key, number, self.meta_batch_size)
-            trial_state = episodes[-1].trial_end if episodes else None
-            policy = state.networks.policy
-            agents = Agents(policy, Nothing(), shares_policy=True, trial_state=trial_state)
-            episodes.append(collect(keys, agents, index, stage=number))
-        return self._improve(learn_key, state, tuple(episodes))
-
     @eqx.filter_jit
-    def _improve(
+    def improved(
         self, key: Key, state: VaribadState, episodes: tuple[Episodes, ...]
     ) -> tuple[VaribadState, VaribadInfo]:
         keys = jax.random.split(key, 4)
@@ -226,7 +178,7 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
         statistics = policy.statistics.with_batch(raw, trials.valid)
         policy = BeliefPolicy(encoder, inner, statistics, self.observed_reward)
         info = VaribadInfo(
-            **_described(episodes, trials),
+            **describe_trials(episodes, trials),
             bonus=masked_mean(bonus, trials.valid),
             explained_variance=explained_variance(advantages, expected, trials.valid),
             value_accepted=value_accepted,
@@ -257,13 +209,12 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
     def _bonus(
         self, key: Key, state: VaribadState, steps: Steps, beliefs: DiagonalGaussian, trials: Trials
     ) -> tuple[Float[Array, "trial time"], BonusState | None]:
-        """Return the bonus of every step, and the state of the bonus after it."""
         if state.bonus is None:
             return jnp.zeros_like(trials.reward), None
         noise_key, learn_key = jax.random.split(key)
         policy, decoder = state.networks.policy, state.networks.decoder
         after = jax.tree.map(lambda x: x[:, 1:], beliefs)
-        m = after.sample(noise_key)
+        m = after.sample_from_noise(after.noise(noise_key, after.mean.shape))
 
         def error(m: Array, step: Steps) -> Float[Array, ""]:
             one = jax.tree.map(lambda x: x[None], step)
@@ -275,23 +226,3 @@ class VaribadMetaLearner(AbstractMetaLearner[VaribadState, VaribadInfo]):
             state.bonus, state.iteration, seen, errors, trials.reward, steps.valid, self.discount
         )
         return bonus, self.bonus.learn(learn_key, judged, seen, steps.valid)
-
-    def advantages(
-        self, trials: Trials, expected: Float[Array, "trial time"]
-    ) -> Float[Array, "trial time"]:
-        """Return the advantage of every step, over the whole trial and not standardised."""
-        return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
-            trials.reward, expected, trials.valid, self.discount, self.gae_lambda
-        )
-
-
-def _described(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str, Float[Array, ""]]:
-    """Return the part of `VaribadInfo` that tells what was played."""
-    first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
-    return {
-        "return_before": first.undiscounted_return.mean(),
-        "return_after": last.undiscounted_return.mean(),
-        "success_after": last.success.mean(),
-        "action_std": masked_mean(behaviour.std().mean(-1), trials.valid),
-        "entropy": masked_mean(behaviour.entropy(), trials.valid),
-    }

@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from maesn.axes import ActionKind, ObservedReward, RecurrentState
 from maesn.learners.varibad.encoder import BeliefEncoder
@@ -87,28 +86,6 @@ class BeliefPolicy(AbstractPolicy):
     @property
     def observed_reward(self) -> ObservedReward:
         return self.observed
-
-    def unroll(
-        self,
-        inputs: PolicyInput,
-        valid: Bool[Array, "episode time"],
-        z: Float[Array, "episode z"],
-        recurrent_state: RecurrentState,
-    ) -> tuple[AbstractDistribution, RecurrentState]:
-        def episode(
-            inputs: PolicyInput, valid: Array, z: Array, state: RecurrentState
-        ) -> tuple[AbstractDistribution, RecurrentState]:
-            def step(
-                state: RecurrentState, now: tuple[PolicyInput, Array]
-            ) -> tuple[RecurrentState, AbstractDistribution]:
-                actions, after = self(now[0], z, state)
-                kept = jax.tree.map(lambda new, old: jnp.where(now[1], new, old), after, state)
-                return kept, actions
-
-            last, along = jax.lax.scan(step, state, (inputs, valid))
-            return along, last
-
-        return jax.vmap(episode)(inputs, valid, z, recurrent_state)
 
 
 def side_by_side(

@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
 
+from maesn.learners.trial_meta import TrialInfo
 from maesn.learners.trial_value import ValueState
 from maesn.learners.varibad.bonus import BonusState
 from maesn.learners.varibad.decoder import Decoder
@@ -34,19 +35,9 @@ class VaribadState(eqx.Module):
     iteration: Int[Array, ""]
 
 
-class VaribadInfo(eqx.Module):
+class VaribadInfo(TrialInfo):
     """Info of one meta-iteration: scalars only."""
 
-    return_before: Float[Array, ""]
-    """Mean undiscounted return of the first episodes of the trials."""
-    return_after: Float[Array, ""]
-    """Mean undiscounted return of their last episodes."""
-    success_after: Float[Array, ""]
-    """Share of the last episodes that reach the goal region."""
-    action_std: Float[Array, ""]
-    """Mean standard deviation of the actions."""
-    entropy: Float[Array, ""]
-    """Mean entropy of the action distributions, in nats."""
     bonus: Float[Array, ""]
     """Mean bonus of a step, in the unit of rewards."""
     explained_variance: Float[Array, ""]

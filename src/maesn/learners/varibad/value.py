@@ -9,6 +9,7 @@ from maesn.learners.trial_value import AbstractTrialValue, elapsed_share
 from maesn.learners.trials import Trials
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import MinibatchDescent
+from maesn.settings import check_sizes
 
 
 class BeliefValue(AbstractTrialValue[MLP]):
@@ -23,8 +24,7 @@ class BeliefValue(AbstractTrialValue[MLP]):
     """The optimiser of the fit."""
 
     def __check_init__(self) -> None:
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
+        check_sizes(self, "hidden_sizes")
 
     def init_network(self, key: Key, observation_size: int, action_size: int) -> MLP:
         return init_mlp(key, (observation_size + 1, *self.hidden_sizes, 1))

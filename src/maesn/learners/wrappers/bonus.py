@@ -84,7 +84,8 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
 
     def update(self, state: BonusFastState, episodes: Episodes) -> BonusFastState:
         """Learn from reward and bonus, then let the models learn from the transitions."""
-        keys = _update_keys(state.keys, state.update)
+        folded = jax.vmap(jax.random.fold_in, in_axes=(0, None))(state.keys, state.update)
+        keys = jax.vmap(jax.random.split)(folded)
         models, bonus = _judge(self.curiosity, keys[:, 0], state.curiosity, episodes)
         rewarded = dataclasses.replace(
             episodes,
@@ -114,9 +115,3 @@ def _judge(
 @eqx.filter_jit
 def _learn(curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
     return map_tasks(curiosity.learn, keys, models, how="vmap")
-
-
-def _update_keys(keys: TaskKeys, update: Int[Array, ""]) -> Any:
-    """Return two keys per task for one update, `[task, 2]`."""
-    folded = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, update)
-    return jax.vmap(jax.random.split)(folded)

@@ -8,7 +8,6 @@ Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration"
 https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
 """
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +22,7 @@ from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
 from maesn.networks import BayesianNetwork, init_bayesian_network
 from maesn.numerics import DiagonalGaussian, Ring, first_order_step
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_number, check_positive, check_sizes
 
 # Number of transitions whose gradients are held at once; bounds the memory.
 CHUNK_SIZE = 256
@@ -96,12 +95,8 @@ class CuriosityBonus(eqx.Module):
             check_number(name, getattr(self, name), 1)
         check_positive(self, "prior_std", "likelihood_std", "learning_rate")
         for name in ("updates", "weight"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"`{name}` must be finite and at least 0, got {getattr(self, name)}."
-                )
-        if any(size < 1 for size in self.hidden_sizes):
-            raise ValueError(f"`hidden_sizes` must be positive, got {self.hidden_sizes}.")
+            check_number(name, getattr(self, name), 0)
+        check_sizes(self, "hidden_sizes")
 
     def init(self, key: Key, observation_size: int, action_size: int) -> CuriosityState:
         """Return an untrained model; raises `ValueError` if there is nothing to predict."""

@@ -1,0 +1,130 @@
+"""What RL2 and VariBAD share: they play trials, and learn from whole ones by policy gradient."""
+
+from abc import abstractmethod
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from maesn.axes import ActionKind, Key
+from maesn.context import Nothing
+from maesn.experience.agent import Agents
+from maesn.experience.episodes import Collect, Episodes
+from maesn.learners.meta import AbstractMetaLearner
+from maesn.learners.meta_batch import draw_tasks, task_keys
+from maesn.learners.policy_steps import AbstractPolicyStep
+from maesn.learners.trial_learner import RecurrentFastLearner
+from maesn.learners.trial_value import AbstractTrialValue
+from maesn.learners.trials import Trials
+from maesn.numerics import mesh, trial_advantages
+from maesn.policies import AbstractPolicy, AbstractPolicySettings
+from maesn.settings import check_number
+
+MetaState = TypeVar("MetaState")
+Info = TypeVar("Info", bound="TrialInfo")
+
+
+class TrialInfo(eqx.Module):
+    """Info of what was played in one meta-iteration: scalars only."""
+
+    return_before: Float[Array, ""]
+    """Mean undiscounted return of the first episodes of the trials."""
+    return_after: Float[Array, ""]
+    """Mean undiscounted return of their last episodes."""
+    success_after: Float[Array, ""]
+    """Share of the last episodes that reach the goal region."""
+    action_std: Float[Array, ""]
+    """Mean standard deviation of the actions."""
+    entropy: Float[Array, ""]
+    """Mean entropy of the action distributions, in nats."""
+
+
+def describe_trials(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str, Float[Array, ""]]:
+    """Return the fields of `TrialInfo`, over all devices."""
+    first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
+    return {
+        "return_before": mesh.mean(first.undiscounted_return.mean()),
+        "return_after": mesh.mean(last.undiscounted_return.mean()),
+        "success_after": mesh.mean(last.success.mean()),
+        "action_std": mesh.mean_of_valid(behaviour.std().mean(-1), trials.valid),
+        "entropy": mesh.mean_of_valid(behaviour.entropy(), trials.valid),
+    }
+
+
+class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
+    """Plays trials of a meta-batch of tasks, episode after episode, and learns from them."""
+
+    policy: eqx.AbstractVar[AbstractPolicySettings]
+    policy_step: eqx.AbstractVar[AbstractPolicyStep]
+    value: eqx.AbstractVar[AbstractTrialValue[Any]]
+    meta_batch_size: eqx.AbstractVar[int]
+    trial_episodes: eqx.AbstractVar[int]
+    discount: eqx.AbstractVar[float]
+    gae_lambda: eqx.AbstractVar[float]
+
+    def __check_init__(self) -> None:
+        for name in ("meta_batch_size", "trial_episodes"):
+            check_number(name, getattr(self, name), 1)
+        for name in ("discount", "gae_lambda"):
+            check_number(name, getattr(self, name), 0, 1)
+
+    @abstractmethod
+    def fast_learner(self, state: MetaState) -> RecurrentFastLearner:
+        """Return the learner of new tasks: its policy goes on through their trials."""
+
+    def player(self, state: MetaState) -> AbstractPolicy:
+        return self.fast_learner(state).policy
+
+    def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
+        return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
+
+    def for_actions(self, kind: ActionKind) -> "AbstractTrialMetaLearner[MetaState, Info]":
+        return replace(self, policy=self.policy.for_actions(kind))
+
+    def check_batch(self, episodes_per_task: int) -> None:
+        """A trial is a sample, and no minibatch is empty."""
+        trials = self.meta_batch_size * episodes_per_task
+        parts = {
+            "policy_step": self.policy_step.minibatches,
+            "value": self.value.descent.minibatches,
+        }
+        for owner, minibatches in parts.items():
+            if trials < minibatches:
+                raise ValueError(
+                    f"`{owner}.descent.minibatches` is {minibatches}, but a meta-iteration has "
+                    f"only {trials} trials, {episodes_per_task} in each of "
+                    f"{self.meta_batch_size} tasks: lower it, or play more."
+                )
+
+    def step(self, key: Key, state: MetaState, collect: Collect) -> tuple[MetaState, Info]:
+        task_key, play_key, learn_key = jax.random.split(key, 3)
+        index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
+        policy = self.player(state)
+        episodes: list[Episodes] = []
+        for number in range(self.trial_episodes):
+            keys = task_keys(play_key, number, self.meta_batch_size)
+            trial_state = episodes[-1].trial_end if episodes else None
+            agents = Agents(policy, Nothing(), shares_policy=True, trial_state=trial_state)
+            episodes.append(collect(keys, agents, index, stage=number))
+        return self.improved(learn_key, state, tuple(episodes))
+
+    @abstractmethod
+    def improved(
+        self, key: Key, state: MetaState, episodes: tuple[Episodes, ...]
+    ) -> tuple[MetaState, Info]:
+        """Learn from the first, second, ... episodes of all trials."""
+
+    def advantages(
+        self, trials: Trials, expected: Float[Array, "trial time"]
+    ) -> Float[Array, "trial time"]:
+        """Return the advantage of every step, over the whole trial and not standardised.
+
+        Args:
+            trials: the trials to learn from.
+            expected: V_t.
+        """
+        return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
+            trials.reward, expected, trials.valid, self.discount, self.gae_lambda
+        )
