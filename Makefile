@@ -20,7 +20,11 @@ help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw figures and a page
-	@$(BIN)/maesn demo
+	@test -e runs/demo/config.json || $(BIN)/maesn train maesn --run runs/demo --iterations 80
+	@$(BIN)/maesn resume runs/demo
+	@$(BIN)/maesn adapt runs/demo
+	@$(BIN)/maesn adapt runs/demo --rule search
+	@$(BIN)/maesn report runs/demo
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for.
 METAWORLD := .venv-metaworld

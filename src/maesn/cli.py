@@ -1,6 +1,5 @@
 """The command line. This module answers `--help` alone; a command's imports wait for its turn."""
 
-import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -24,24 +23,10 @@ COMMANDS = {
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",
     "doctor": "show versions, engine, cores, graphics card and cache; let a robot drive",
-    "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
 _FILES = {"doctor": "about", "list": "about", "train": "train"}
-
-# Other words for what a command does -> the command.
-_ALSO = {
-    **dict.fromkeys(("eval", "evaluate", "finetune", "fine-tune", "search", "test"), "adapt"),
-    **dict.fromkeys(("fit", "learn", "meta-train", "new", "start"), "train"),
-    **dict.fromkeys(("continue", "restart", "change"), "resume"),
-    **dict.fromkeys(("figure", "figures", "plot", "show", "table", "visualize"), "report"),
-    **dict.fromkeys(("animate", "film", "movie", "play", "rollout", "video", "watch"), "render"),
-    **dict.fromkeys(("benchmark", "experiment", "run", "status", "sweep"), "study"),
-    **dict.fromkeys(("deploy", "onnx", "save"), "export"),
-    **dict.fromkeys(("envs", "families", "methods", "rules"), "list"),
-    **dict.fromkeys(("check", "info", "version", "versions"), "doctor"),
-}
 
 _HELP = """usage: maesn COMMAND [OPTIONS]
 
@@ -83,9 +68,7 @@ def run(arguments: list[str]) -> int:
         print(_ANSWERS[name])
         return 0
     if name not in COMMANDS:
-        meant = _ALSO.get(name.lower())
-        hint = f" Did you mean `{meant}`?" if meant else suggestion(name, COMMANDS)
-        known = ", ".join(COMMANDS)
+        hint, known = suggestion(name, COMMANDS), ", ".join(COMMANDS)
         print(f"maesn: there is no command `{name}`.{hint} Known are: {known}.", file=sys.stderr)
         return USAGE_ERROR
     try:
@@ -100,8 +83,7 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if not _is_mistake(error):
             raise
-        said = [f"maesn {name}: {error}", *_notes(error), *_commands(error, arguments)]
-        print(*said, sep="\n", file=sys.stderr)
+        print(f"maesn {name}: {error}", *_notes(error), sep="\n", file=sys.stderr)
         return USAGE_ERROR
     return 0
 
@@ -128,17 +110,6 @@ def _words(option: str) -> list[str]:
 def _notes(error: BaseException | None) -> list[str]:
     """Return what is known beside messages, as when a user's environment raised in a process."""
     return [*getattr(error, "__notes__", []), *_notes(error.__cause__)] if error else []
-
-
-def _commands(error: Exception, arguments: list[str]) -> list[str]:
-    """Return the whole command to type where only a name was missing."""
-    from maesn.runs.config import NotNamedError
-
-    if not isinstance(error, NotNamedError):
-        return []
-    if set(error.options.split()) & set(arguments):
-        return ["One option names one module: give one that imports what all the runs need."]
-    return [f"Type: maesn {shlex.join(arguments)}{error.options}"]
 
 
 def _is_mistake(error: Exception) -> bool:

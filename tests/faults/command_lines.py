@@ -73,7 +73,6 @@ def _lines(run: Path, directory: Path) -> list[list[str]]:
         ["export", there, f"{new}.npz"],
         ["render", there, "--out", new],
         ["list"],
-        ["demo", "--run", new],
     ]
 
 

@@ -61,20 +61,9 @@ def test_reading_a_run_imports_nothing_and_says_what_to_type(
         Run.open(unnamed)
     assert cli.run(["resume", str(unnamed)]) == cli.USAGE_ERROR
     assert "walk" not in sys.modules
-    typed = capsys.readouterr().err.splitlines()[-1].removeprefix("Type: maesn ").split()
-    assert cli.run([*typed, "--iterations", "4"]) == 0
+    options = capsys.readouterr().err.split("`")[3].split()
+    assert cli.run(["resume", str(unnamed), *options, "--iterations", "4"]) == 0
     assert Run.open(unnamed).latest().iteration == 4
-
-
-def test_no_command_is_printed_that_would_not_work(
-    unnamed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    begun = ["train", "maesn", "--run", str(tmp_path / "begun"), "--init-from", str(unnamed)]
-    for words in ([*begun, *USUAL], ["resume", str(unnamed), "--method", "small_runs:tiny_maesn"]):
-        assert cli.run(words) == cli.USAGE_ERROR
-        said = capsys.readouterr().err
-        assert "module" in said
-        assert "Type:" not in said
 
 
 def test_its_own_advice_works_as_printed(

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -76,8 +75,6 @@ def train(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     if ":" in method:
         settings = dataclasses.replace(settings, method=method)
-    else:
-        _say_what_suits(method, options)
     given = {name: getattr(options, name) for name in ("init_from", "keep", "sharing")}
     say_what_is_next(api.train(learner, settings, directory, **given))
 
@@ -98,23 +95,3 @@ def read_options(method: str, arguments: list[str]) -> Options:
         default = Options(settings, learners.recommended(method, family))
     options: Options = parse(Options, f"train {method}", arguments, default)
     return options
-
-
-def _say_what_suits(method: str, options: Options) -> None:
-    """Print the defaults that are the family's own and were not overridden."""
-    family = options.run_settings.family
-    suited = (
-        (options.learner, learners.recommended_settings(method, family)),
-        (options.run_settings, learners.recommended_run(method, family)),
-    )
-    kept = [
-        f"{path} {type(value).__name__ if dataclasses.is_dataclass(value) else value}"
-        for settings, found in suited
-        for path, value in found.items()
-        if attrgetter(path)(settings) == value
-    ]
-    if kept and options.settings == "recommended":
-        print(
-            f"settings that suit `{family}`: {', '.join(kept)} (--settings reference for the "
-            "published ones)"
-        )

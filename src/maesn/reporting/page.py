@@ -33,8 +33,8 @@ PAGE = "report.html"
 _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
 
 
-def write_page(path: Path, document: Document) -> list[Path]:
-    """Write a document of `page_of` as one HTML file, and return what was written."""
+def write_page(directory: Path, document: Document) -> Path:
+    """Write a document of `page_of` as one HTML file, and return its path."""
     own, text = files("maesn.reporting"), json.dumps(document, allow_nan=False)
     page = own.joinpath("page.html").read_text("utf-8")
     for name, content in {
@@ -44,8 +44,8 @@ def write_page(path: Path, document: Document) -> list[Path]:
         "program": own.joinpath("page.js").read_text("utf-8"),
     }.items():
         page = page.replace(f"<!-- {name} -->", content, 1)
-    write_whole(path, page.encode())
-    return [path]
+    write_whole(directory / PAGE, page.encode())
+    return directory / PAGE
 
 
 def page_of(study: Compared) -> Document:

@@ -1,6 +1,6 @@
 """Reports of runs and of studies: figures and tables, from the files that they left."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from maesn.reporting.figures.curves import (
     plot_profiles,
 )
 from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
-from maesn.reporting.sources import RUN_FIGURES, Compared
+from maesn.reporting.sources import Compared
 from maesn.reporting.style import Drawn, save_figure
 from maesn.reporting.tables import TextTable, summary_tables, to_page
 from maesn.storage import write_rows, write_whole
@@ -58,16 +58,6 @@ def write_report(study: Compared, out: Path) -> Reported:
             files += _draw(one, figure, folder)
         tables += found
     return Reported(files, tables)
-
-
-def say_missing(files: Sequence[Path], say: Callable[[str], None]) -> None:
-    """Say which figures of runs there was no data for."""
-    drawn = {file.name.partition("-")[0] for file in files}
-    if missing := [kind for kind in RUN_FIGURES if kind not in drawn]:
-        say(
-            f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
-            "says where things are in a plane."
-        )
 
 
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
