@@ -91,20 +91,16 @@ def run(arguments: list[str]) -> int:
 @contextmanager
 def _interpreter(options: list[str]) -> Iterator[list[str]]:
     """Take `--python PATH` out of a command's options; until it ends, environments run there."""
-    words = [word for one in options for word in _words(one)]
-    if "--python" not in words:
+    from maesn.commands.options import read_first
+
+    found, others = read_first(options, "python")
+    if found.python is None:
         yield options
         return
     from maesn.foreign import hosted_in
 
-    place = words.index("--python")
-    with hosted_in([*words, ""][place + 1]):
-        yield words[:place] + words[place + 2 :]
-
-
-def _words(option: str) -> list[str]:
-    """Split `--python=PATH`; leave all other options as they are."""
-    return option.split("=", 1) if option.startswith("--python=") else [option]
+    with hosted_in(found.python):
+        yield others
 
 
 def _notes(error: BaseException | None) -> list[str]:

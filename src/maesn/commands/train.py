@@ -1,6 +1,5 @@
 """`maesn train METHOD --run DIR`: meta-train in a new run directory."""
 
-import argparse
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,7 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from maesn import api, learners
-from maesn.commands.options import parse
+from maesn.commands.options import parse, read_first
 from maesn.commands.runs import say_what_is_next
 from maesn.envs import is_own
 from maesn.envs.sources import resolve_family
@@ -81,10 +80,7 @@ def train(arguments: list[str]) -> None:
 
 def read_options(method: str, arguments: list[str]) -> Options:
     """Return the options behind a method, whose defaults depend on `--family` and `--settings`."""
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--family", nargs="?")
-    first.add_argument("--settings", nargs="?")
-    found, _ = first.parse_known_args(arguments)
+    found, _ = read_first(arguments, "family", "settings")
     family = found.family or RunSettings().family
     if ":" in method:
         default = Options(RunSettings(family=family), own_method(method))

@@ -54,12 +54,11 @@ def page_of(study: Compared) -> Document:
     Latents and paths of runs are those of the first run that has recorded latents, the belief that
     of the first that has recorded one. A `RunError` says which file is missing or broken.
     """
-    # Of a study the best line alone: it may have many.
-    headlines = [
-        _headline(line, one)
-        for one in study.comparisons
-        for line in (one.lines if study.series else [max(one.lines, key=_last_return)])
-    ]
+    headlines = []
+    for one in study.comparisons:
+        # Of a study the best line alone: it may have many.
+        best = max(one.lines, key=lambda line: float(line.column(-1).mean()))
+        headlines += [_headline(line, one) for line in (one.lines if study.series else [best])]
     compared = [_comparison(one, study.series) for one in study.comparisons]
     document = {"headlines": headlines, "comparisons": compared}
     if study.series:
@@ -70,10 +69,6 @@ def page_of(study: Compared) -> Document:
     provenance = {"columns": ["", "value"], "rows": rows}
     title = f"Study {study.study['study']}"
     return document | {"title": title, "subtitle": names, "provenance": provenance}
-
-
-def _last_return(line: Line) -> float:
-    return float(line.column(-1).mean())
 
 
 def _headline(line: Line, comparison: Comparison) -> Document:

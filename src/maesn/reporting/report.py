@@ -28,8 +28,7 @@ _EVERYTHING = {"name": "comparison", "kind": "curves"}
 class Reported(NamedTuple):
     """The files and tables of a report."""
 
-    files: list[Path]
-    """Figures, and the page."""
+    files: list[Path]  # figures, and the page
     tables: list[TextTable]
     """For each comparison: the ends of all methods, the way there, and who beats whom."""
 

@@ -33,12 +33,9 @@ _PERIOD = {"opt.timestep"}
 class Stated(NamedTuple):
     """What the user says of the robot, where the simulation does not say it."""
 
-    lower: Limit | None = None
-    """Smallest control of all actuators, or of each; -inf for no limit."""
-    upper: Limit | None = None
-    """Largest control; inf for no limit."""
-    control_period: float | None = None
-    """Seconds between two controls."""
+    lower: Limit | None = None  # smallest control of all actuators, or of each; -inf for no limit
+    upper: Limit | None = None  # largest control; inf for no limit
+    control_period: float | None = None  # seconds between two controls
 
 
 _NOTHING = Stated()

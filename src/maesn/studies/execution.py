@@ -28,8 +28,7 @@ SECONDS_TO_BEGIN = 10
 class AbstractExecutor(ABC):
     """Computes jobs, each with a fixed number of threads."""
 
-    slots: int
-    """Jobs that may run at a time."""
+    slots: int  # jobs that may run at a time
 
     @abstractmethod
     def submit(self, job: Job, jobs: Path) -> Future[str | None]:
@@ -164,12 +163,8 @@ class Execution:
         return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
 
     def _seconds_left(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-        """Return the estimate for what is left of a job, and what says so."""
-        takes, basis = self._estimate(job, done)
-        return (1 - job.progress(self.directory / job.name)) * takes, basis
-
-    def _estimate(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-        """Return the seconds that a job takes, and what says so: jobs of its kind and family."""
+        """Return the estimate for what is left of a job, and what says so: jobs of its kind."""
+        left = 1 - job.progress(self.directory / job.name)
         kind = job.name.split("-")[:2]
         like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
         work = sum(
@@ -178,9 +173,9 @@ class Execution:
         )
         if work:
             seconds = sum(one["seconds"] for one in like.values())
-            return job.seconds * seconds / work, "what jobs of the same kind took"
+            return left * job.seconds * seconds / work, "what jobs of the same kind took"
         return (
-            SECONDS_TO_BEGIN + job.seconds,
+            left * (SECONDS_TO_BEGIN + job.seconds),
             f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, "
             "as on `point` and `wheeled`, or fewer where a method learns more from each",
         )

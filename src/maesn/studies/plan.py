@@ -54,8 +54,7 @@ class _Planner:
 
     study: StudySpec
     family: str
-    jobs: dict[str, Job]
-    """All planned jobs, those of earlier families included."""
+    jobs: dict[str, Job]  # all planned jobs, those of earlier families included
     runs: dict[str, Sequence[TrainedRun]] = dataclasses.field(default_factory=dict)
 
     def compare(self) -> Iterator[PlannedComparison]:
