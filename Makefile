@@ -14,7 +14,7 @@ BROWSER_READY := $(VENV)/.ready-for-browser
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs soak test-external test-metaworld peers fast unit lint style types imports bench docs clean
+.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs test-external test-metaworld peers fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
@@ -47,11 +47,8 @@ test-long: $(TEST_READY) ## Run the tests that take minutes: MJX, learning, benc
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "long or not long" tests/long
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m long tests
 
-test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged files, full disks, wrong words
+test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged files, full disks, wrong calls
 	@PYTHONPATH=tests $(BIN)/python -m faults $(FAULTS)
-
-soak: $(TEST_READY) ## Train for two hours; show memory, open files and disk at the start and at the end
-	@PYTHONPATH=tests $(BIN)/python -m faults.soak $(SOAK)
 
 test-metaworld: $(METAWORLD)/.ready $(TEST_READY) ## Test the families of Meta-World, and its protocol
 	@$(BIN)/python -m pytest --quiet --tb=short tests/simulators

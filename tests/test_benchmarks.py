@@ -11,7 +11,6 @@ from typing import Any
 
 import bare_physics
 import bonus_control
-import curvature
 import jax
 import jax.numpy as jnp
 import memory_control
@@ -132,22 +131,6 @@ def test_memories_are_exchanged_among_tasks() -> None:
         np.testing.assert_array_equal(found.recurrent_state.ravel(), values)
         np.testing.assert_array_equal(found.action.ravel(), 10 * np.array(values))
         np.testing.assert_array_equal(found.reward.ravel(), values)
-
-
-@pytest.mark.long
-def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(curvature, "IN_CLOSED_FORM", [curvature.Choice(5, 20, 1)])
-    few = {"iterations": 0, "episodes_per_task": 2, "judged_episodes": 2, "repetitions": 2}
-    curvature.main(curvature.Settings(family="point", **few))
-    title, heading, row = capsys.readouterr().out.splitlines()
-    assert title == "maesn on point, after 0 meta-iterations"
-    assert heading == curvature.HEADING
-    assert row.split()[0] == "5"
-    kl, backtracks = map(float, row.split()[-3:-1])
-    assert 0 < kl <= 10.1  # the bound, 0.01, times 1000
-    assert backtracks >= 0
 
 
 @pytest.mark.long

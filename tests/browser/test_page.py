@@ -125,16 +125,6 @@ def test_a_belief_is_watched(browser: Browser, of_run: Path) -> None:
     assert opened.said == []
 
 
-def test_the_theme_changes(browser: Browser, of_run: Path) -> None:
-    page = Opened(browser, of_run).page
-    shown = "getComputedStyle(document.body).backgroundColor"
-    light = page.evaluate(shown)
-    page.click("#theme")
-    assert page.evaluate(shown) != light
-    page.click("#theme")
-    assert page.evaluate(shown) == light
-
-
 def test_tables_sort_and_lines_are_compared(browser: Browser, of_study: Path) -> None:
     opened = Opened(browser, of_study)
     page = opened.page

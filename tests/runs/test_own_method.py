@@ -3,7 +3,6 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -144,19 +143,3 @@ def test_weights_that_are_no_part_of_the_state_are_refused(
     settings = RunSettings(family="point", iterations=0)
     with pytest.raises(RunError, match="parts of its state"):
         Run.create(tmp_path / "run", walk.Walk(), settings, init_from=tmp_path / "source")
-
-
-def test_the_weights_are_the_identity_of_a_run(tmp_path: Path) -> None:
-    run = train(tmp_path / "run")
-    weights = digest_of_arrays(run.latest_state().position)
-    assert run.identity()["weights"] == weights
-
-
-def test_a_file_cannot_name_what_is_no_setting(tmp_path: Path) -> None:
-    from maesn.learners import AbstractMetaLearner
-    from maesn.runs.serialization import from_json, to_json
-
-    document: dict[str, Any] = to_json(train(tmp_path / "run").learner)
-    for tag in ("walk:WalkState", "os:system", "walk:not_a_method", "walk:Stride", "Walk"):
-        with pytest.raises((ValueError, RunError)):
-            from_json(document | {"type": tag}, AbstractMetaLearner)
