@@ -1,7 +1,6 @@
 """Commands that work on runs and studies."""
 
-from collections.abc import Callable
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +18,7 @@ from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
 from maesn.studies import comparison
 from maesn.studies.executors import ExecutorName
-from maesn.studies.study import FailedJobsError, Results, Study
+from maesn.studies.study import Study
 
 
 def say_what_is_next(run: Run) -> None:
@@ -84,7 +83,7 @@ def study(
     asked = Study.load(file)
     if action == "run" and not dry_run:
         where = {"executor": executor, "workers": workers, "only": only}
-        _say_results(partial(asked.run, out, **where, say=print))  # type: ignore[arg-type]
+        print_tables(asked.run(out, **where, say=print).tables)  # type: ignore[arg-type]
         return
     execution = asked.execution(out)
     jobs, left = execution.jobs.items(), (execution.left(asked.workers(workers)),)
@@ -102,14 +101,4 @@ def study(
 @wraps(comparison.compare)
 def compare(*runs: Any, **options: Any) -> None:
     """Compare runs that exist, and say how far it is."""
-    _say_results(partial(comparison.compare, *runs, **options | {"say": print}))
-
-
-def _say_results(compute: Callable[[], Results]) -> None:
-    """Print the tables that a study leaves, also where some of its jobs fail."""
-    try:
-        tables = compute().tables
-    except FailedJobsError as error:
-        print_tables(error.results.tables)
-        raise
-    print_tables(tables)
+    print_tables(comparison.compare(*runs, **options | {"say": print}).tables)

@@ -140,7 +140,6 @@ def record_adaptation(
 def _filmed(
     world: AbstractWorld, episodes: Episodes, readings: Readings | HostReadings, number: int
 ) -> Filmed:
-    """Return an episode of the only task."""
     valid, solved, returns = (
         np.asarray(x)[0, number]
         for x in (episodes.valid, episodes.solved, episodes.undiscounted_return)

@@ -106,7 +106,6 @@ def _of_runs(series: Sequence[Series]) -> Document:
 
 
 def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
-    """Return charts, tables, the tasks' returns and settings."""
     lines, about = comparison.lines, f"{comparison.family}, {comparison.tasks}"
     if series:
         tables = ["/".join(file.parts[-3:]) for line in lines for file in line.files]
@@ -130,7 +129,6 @@ def _is_known(chart: Chart) -> bool:
 
 
 def _chart(chart: Chart) -> Document:
-    """Return a chart as SVG, and what it shows in words."""
     lines = ", ".join(curve.style.label for curve in chart.curves)
     with publication_style():
         figure = plot_charts([chart], width=ONE_COLUMN)

@@ -60,7 +60,6 @@ def write_report(study: Compared, out: Path) -> Reported:
 
 
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
-    """Draw a figure, as the file of a study describes it, if there is something to draw."""
     chosen = {*figure.get("lines", ())}
     lines = tuple(one for one in comparison.lines if not chosen or chosen & {one.name, one.source})
     if not lines or comparison.family not in (figure.get("families") or [comparison.family]):

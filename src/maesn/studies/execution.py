@@ -116,7 +116,6 @@ class Execution:
         return all(map(self.is_done, job.needs)) and not is_locked(self.directory / job.name)
 
     def _needs_failed(self, job: Job) -> bool:
-        """Whether a job needs one that failed."""
         return any(name in self.failed or self._needs_failed(self.jobs[name]) for name in job.needs)
 
     def status(self, job: Job) -> tuple[str, str]:
@@ -141,7 +140,6 @@ class Execution:
         return sum(self._seconds_left(self.jobs[name], done)[0] for name in counted) / 3600
 
     def _found(self) -> dict[str, dict[str, Any]]:
-        """Return `done.json` of all jobs that are done, by their names."""
         return {name: found for name in self.jobs if (found := self.done(name)) is not None}
 
     def left(self, workers: int) -> str:

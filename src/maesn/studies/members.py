@@ -221,7 +221,6 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
 def _settings(
     study: StudySpec, name: str, family: str, seed: int
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
-    """Return learner and settings of a run that is to be trained."""
     spec = study.runs[name]
     preset, usual, world = spec.preset or name, {}, study.world(family)
     if ":" in preset:

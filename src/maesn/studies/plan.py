@@ -221,7 +221,6 @@ class _Planner:
 
 
 def _digest(member: AbstractMember, env: AnyEnv, **more: Any) -> str:
-    """Return a digest of all that decides a result of a member in a world."""
     return digest_of_document({"of": member.identity, "world": describe_env(env), **more})
 
 
