@@ -348,7 +348,7 @@ def test_one_job_of_an_array(tmp_path: Path) -> None:
     train, *others = study.jobs
     with pytest.raises(RunError, match=f"needs `{train}` to be done before"):
         study.run(tmp_path, executor=Here(), only=others[0])
-    with pytest.raises(RunError, match="no job `nothing`: `--dry-run` lists them"):
+    with pytest.raises(RunError, match="no job `nothing`: `maesn study status` lists"):
         study.run(tmp_path, executor=Here(), only="nothing")
     Study(SMALL).run(tmp_path, executor=Here(), only=train)
     assert list(status(study, tmp_path).values()) == ["done", *["waiting"] * len(others)]

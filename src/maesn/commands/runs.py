@@ -9,7 +9,6 @@ from tyro.conf import Positional
 from maesn import api
 from maesn.commands.options import command
 from maesn.evaluation import film
-from maesn.evaluation.arguments import Flag
 from maesn.evaluation.running import Adapted
 from maesn.numerics.processes import is_lead
 from maesn.reporting.report import Reported
@@ -67,34 +66,29 @@ def study(
     executor: ExecutorName = "local",
     workers: int | None = None,
     only: str | None = None,
-    dry_run: Flag = False,
 ) -> None:
     """Compute a study: train, adapt, compare. What was interrupted goes on with the same command.
 
     Args:
-        action: run: compute it. status: show how its jobs are, and the time left.
+        action: run: compute it. status: show its jobs, their environment steps and how they are,
+            and an estimate of the time left; compute nothing.
         file: A .toml file, or the name of a study that comes with the library.
         out: Directory of jobs and results; studies there share jobs.
         executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
         workers: Jobs at a time; None: as many as there are CPUs for.
         only: The one job to compute, as a job of an array does.
-        dry_run: List the jobs with their steps and an estimate of the time; compute nothing.
     """
     asked = Study.load(file)
-    if action == "run" and not dry_run:
+    if action == "run":
         where = {"executor": executor, "workers": workers, "only": only}
         print_tables(asked.run(out, **where, say=print).tables)  # type: ignore[arg-type]
         return
     execution = asked.execution(out)
-    jobs, left = execution.jobs.items(), (execution.left(asked.workers(workers)),)
-    if dry_run:
-        rows = [(name, f"{job.steps:,}") for name, job in jobs]
-        rows.append(("all", f"{sum(job.steps for _, job in jobs):,}"))
-        columns = ("job", "environment steps")
-        print_tables([TextTable(f"{len(jobs)} jobs", columns, tuple(rows), left)])
-    else:
-        states = tuple((name, *execution.status(job)) for name, job in jobs)
-        print_tables([TextTable("Jobs", ("job", "status", ""), states, left)])
+    jobs, left = execution.jobs, execution.left(asked.workers(workers))
+    rows = [(name, f"{job.steps:,}", *execution.status(job)) for name, job in jobs.items()]
+    rows.append(("all", f"{sum(job.steps for job in jobs.values()):,}", "", ""))
+    columns = ("job", "environment steps", "status", "")
+    print_tables([TextTable(f"{len(jobs)} jobs", columns, tuple(rows), (left,))])
 
 
 @command

@@ -44,9 +44,8 @@ _NOTHING = Stated()
 def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
     """Write what `exported_policy` returns as an `.npz` or `.onnx` file; an old one is replaced.
 
-    Raises:
-        ValueError: the runtime could not read it, as of damaged latents or a damaged prior; an ONNX
-            file cannot hold it; or `onnx` is not installed.
+    `ValueError` says that the runtime could not read it, as of damaged latents or a damaged prior,
+    or that an ONNX file cannot be written.
     """
     ExportedPolicy.from_archive(policy.arrays(), policy.metadata())
     if is_onnx(path):

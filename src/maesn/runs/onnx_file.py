@@ -36,9 +36,7 @@ def is_onnx(path: str | os.PathLike[str]) -> bool:
 def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
     """Write a policy as an ONNX file, with all that a robot must know as metadata, in JSON.
 
-    Raises:
-        ValueError: the policy searches, which a network cannot, or `onnx` is not installed.
-        OSError: the file cannot be written.
+    `ValueError` says that the policy searches, which a network cannot, or that `onnx` is missing.
     """
     if exported.search is not None:
         raise ValueError(NO_SEARCH)

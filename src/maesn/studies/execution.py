@@ -95,7 +95,7 @@ class Execution:
     def only(self, name: str) -> None:
         """Drop all jobs but one; `RunError` if a job that it needs is not done."""
         if name not in self.jobs:
-            raise RunError(f"the study has no job `{name}`: `--dry-run` lists them.")
+            raise RunError(f"the study has no job `{name}`: `maesn study status` lists them.")
         missing = [need for need in self.jobs[name].needs if not self.is_done(need)]
         if missing:
             raise RunError(f"the job `{name}` needs `{missing[0]}` to be done before.")
