@@ -14,13 +14,17 @@ BROWSER_READY := $(VENV)/.ready-for-browser
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs soak test-external test-metaworld peers fast unit lint style types imports bench docs clean
+.PHONY: help demo metaworld check test test-browser test-faults test-long test-docs test-external test-metaworld peers fast unit lint style types imports bench docs clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw figures and a page
-	@$(BIN)/maesn demo
+	@test -e runs/demo/config.json || $(BIN)/maesn train maesn --run runs/demo --iterations 80
+	@$(BIN)/maesn resume runs/demo
+	@$(BIN)/maesn adapt runs/demo
+	@$(BIN)/maesn adapt runs/demo --rule search
+	@$(BIN)/maesn report runs/demo
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for.
 METAWORLD := .venv-metaworld
@@ -43,11 +47,8 @@ test-long: $(TEST_READY) ## Run the tests that take minutes: learning, benchmark
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "long or not long" tests/long
 	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m long tests
 
-test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged files, full disks, wrong words
+test-faults: $(TEST_READY) ## Attack the library for minutes: kills, damaged files, full disks, wrong calls
 	@PYTHONPATH=tests $(BIN)/python -m faults $(FAULTS)
-
-soak: $(TEST_READY) ## Train for two hours; show memory, open files and disk at the start and at the end
-	@PYTHONPATH=tests $(BIN)/python -m faults.soak $(SOAK)
 
 test-metaworld: $(METAWORLD)/.ready $(TEST_READY) ## Test the families of Meta-World, and its protocol
 	@$(BIN)/python -m pytest --quiet --tb=short tests/simulators

@@ -21,11 +21,11 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from maesn.reporting import statistics, style
-from maesn.reporting.reading import EXPLORE, read_adaptation, read_rows
+from maesn.reporting.reading import EXPLORE, read_adaptation
 from maesn.reporting.sources import MANIFEST
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
 from maesn.reporting.tables import UNITS, TextTable, to_page
-from maesn.storage import read_json, write_rows, write_whole
+from maesn.storage import read_json, read_rows, write_rows, write_whole
 from maesn.studies.study import Study
 
 HERE = Path(__file__).parent / "field"

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from maesn.reporting.reading import DEPLOY, LATENTS, MEASURES, latents_beside, read_rows
+from maesn.reporting.reading import DEPLOY, LATENTS, MEASURES, latents_beside
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
 from maesn.runs.sources import TASKS_FILE
-from maesn.storage import RunError, read_arrays, read_json, write_rows
+from maesn.storage import RunError, read_arrays, read_json, read_rows, write_rows
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study

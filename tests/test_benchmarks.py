@@ -4,14 +4,12 @@ import csv
 import gzip
 import importlib
 import re
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import bare_physics
 import bonus_control
-import curvature
 import jax
 import jax.numpy as jnp
 import memory_control
@@ -19,12 +17,9 @@ import numpy as np
 import pytest
 from carts import MOTOR, CartTask, cart_on
 from playing import constant_agents, keys
-from small_runs import create
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
 from maesn.experience.trial_state import TrialState
-from maesn.learners import rl2
-from maesn.policies import Recurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -129,22 +124,6 @@ def test_memories_are_exchanged_among_tasks() -> None:
 
 
 @pytest.mark.long
-def test_a_step_is_judged_on_episodes_that_it_has_not_seen(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(curvature, "IN_CLOSED_FORM", [curvature.Choice(5, 20, 1)])
-    few = {"iterations": 0, "episodes_per_task": 2, "judged_episodes": 2, "repetitions": 2}
-    curvature.main(curvature.Settings(family="point", **few))
-    title, heading, row = capsys.readouterr().out.splitlines()
-    assert title == "maesn on point, after 0 meta-iterations"
-    assert heading == curvature.HEADING
-    assert row.split()[0] == "5"
-    kl, backtracks = map(float, row.split()[-3:-1])
-    assert 0 < kl <= 10.1  # the bound, 0.01, times 1000
-    assert backtracks >= 0
-
-
-@pytest.mark.long
 def test_random_bonuses_are_the_control_of_curiosity(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,26 +142,3 @@ def test_random_bonuses_are_the_control_of_curiosity(
     # The first update has no bonus. From the second one on they have it for different steps.
     same = np.equal(returns["random_bonus"], returns["vime"])
     assert same.tolist() == [True, True, False] * 2
-
-
-@pytest.mark.long
-def test_second_episodes_begin_with_the_memory_that_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = create(tmp_path / "run", rl2(policy=Recurrent(hidden_size=3)))
-    settings = memory_control.Settings(run.directory, tasks="validation", episodes_per_task=2)
-    means = dict(memory_control.played(settings))
-    assert "deviation over" in capsys.readouterr().out
-    tasks = run.task_set("validation")
-    world, index = run.world(tasks), jnp.arange(len(tasks))
-    collect = Collector(world, 2)
-    first, second = jax.random.split(jax.random.key(0), (2, len(tasks)))
-    learner = run.learner.fast_learner(run.latest_state())
-    agents = learner.agents(learner.init(first))
-    alone = collect(second, agents, index)
-    began = replace(agents, trial_state=collect(first, agents, index).trial_end)
-    after = collect(second, began, index)
-    np.testing.assert_array_equal(means["nothing"], alone.undiscounted_return.mean(1))
-    np.testing.assert_array_equal(means["its own memory"], after.undiscounted_return.mean(1))
-    assert len({tuple(returns) for returns in means.values()}) == 4
-    world.close()

@@ -32,9 +32,6 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     ("words", "named"),
     [
         ("trian", "Did you mean `train`?"),
-        ("evaluate {}", "Did you mean `adapt`?"),
-        ("plot {}", "Did you mean `report`?"),
-        ("run mine.toml", "Did you mean `study`?"),
         ("train measn", "`maesn`"),
         ("train maesn --family weeled", "`wheeled`"),
         ("train maesn --family ..:x", "`..:x`"),
@@ -52,7 +49,6 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("export {} " + 5000 * "x", "File name too long"),
         ("report", "run or study"),
         ("render " + 5000 * "x", "File name too long"),
-        ("demo --iterations -1", "`iterations`"),
     ],
 )
 def test_wrong_words_get_a_sentence(

@@ -13,11 +13,8 @@ SEED = 18
 ATTEMPTS = {
     "kills": 10,
     "mutated files": 120,
-    "signals": 3,
-    "two writers": 2,
     "disks": 10,
     "runtime calls": 20,
-    "wrong command lines": 50,
 }
 
 

@@ -17,9 +17,9 @@ from maesn.evaluation.exploration import record_belief, record_exploration, reco
 from maesn.evaluation.exporting import export_run
 from maesn.learners import AbstractMetaLearner
 from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
-from maesn.reporting.page import PAGE, page_of, write_page
+from maesn.reporting.page import page_of, write_page
 from maesn.reporting.reading import usual_table
-from maesn.reporting.report import Reported, say_missing, write_report
+from maesn.reporting.report import Reported, write_report
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import Compared, compare_runs, compare_study, studies_in
 from maesn.runs.config import RunSettings
@@ -238,8 +238,7 @@ def report(
         of: Directories of runs, or names of policies as for `maesn adapt`; several are compared in
             one figure. Or the directory of a study.
         out: Where the figures of runs go; None: `figures` in the first run's directory. Those of a
-            study go into its directory. A name that ends in `.html` is that of the page, beside
-            which the figures of runs go.
+            study go into its directory.
         family: The runs' family as `module:name`, if it is your own.
         method: The runs' method as `module:name`, if it is your own.
 
@@ -248,16 +247,12 @@ def report(
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
-    page = Path(out) if out is not None and Path(out).suffix == ".html" else None
     if not isinstance(of[0], Run) and (studies := studies_in(Path(of[0]))):
-        if len(of) > 1 or (out is not None and (page is None or len(studies) > 1)):
-            raise RunError(
-                "a study is reported by itself, into its directory: maesn report DIR. The page of "
-                "one study can go elsewhere: --out NAME.html"
-            )
+        if len(of) > 1 or out is not None:
+            raise RunError("a study is reported by itself, into its directory: maesn report DIR.")
         all_of_them = Reported([], [])
         for path in studies:
-            done = _report(compare_study(path), path, page or path / PAGE)
+            done = _report(compare_study(path), path)
             all_of_them.files.extend(done.files)
             all_of_them.tables.extend(done.tables)
         return all_of_them
@@ -270,12 +265,9 @@ def report(
             record_explorer(run)
             record_belief(run)
     directories = [run.directory for run in opened]
-    folder = page.parent if page else Path(out or directories[0] / "figures")
-    reported = _report(compare_runs(directories), folder, page or folder / PAGE)
-    say_missing(reported.files, print)
-    return reported
+    return _report(compare_runs(directories), Path(out or directories[0] / "figures"))
 
 
-def _report(study: Compared, out: Path, page: Path) -> Reported:
+def _report(study: Compared, out: Path) -> Reported:
     files, tables = write_report(study, out)
-    return Reported(files + write_page(page, page_of(study)), tables)
+    return Reported([*files, write_page(out, page_of(study))], tables)

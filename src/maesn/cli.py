@@ -24,24 +24,10 @@ COMMANDS = {
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",
     "doctor": "show versions, cores, graphics card and cache; let a robot drive",
-    "demo": "train MAESN on the wheeled robot, adapt it to unseen tasks, draw the figures",
 }
 
 # Command -> the file of `maesn.commands` with the function of that name; the others are in `runs`.
 _FILES = {"doctor": "about", "list": "about", "train": "train"}
-
-# Other words for what a command does -> the command.
-_ALSO = {
-    **dict.fromkeys(("eval", "evaluate", "finetune", "fine-tune", "search", "test"), "adapt"),
-    **dict.fromkeys(("fit", "learn", "meta-train", "new", "start"), "train"),
-    **dict.fromkeys(("continue", "restart", "change"), "resume"),
-    **dict.fromkeys(("figure", "figures", "plot", "show", "table", "visualize"), "report"),
-    **dict.fromkeys(("animate", "film", "movie", "play", "rollout", "video", "watch"), "render"),
-    **dict.fromkeys(("benchmark", "experiment", "run", "status", "sweep"), "study"),
-    **dict.fromkeys(("deploy", "onnx", "save"), "export"),
-    **dict.fromkeys(("envs", "families", "methods", "rules"), "list"),
-    **dict.fromkeys(("check", "info", "version", "versions"), "doctor"),
-}
 
 _HELP = """usage: maesn COMMAND [OPTIONS]
 
@@ -83,9 +69,7 @@ def run(arguments: list[str]) -> int:
         print(_ANSWERS[name])
         return 0
     if name not in COMMANDS:
-        meant = _ALSO.get(name.lower())
-        hint = f" Did you mean `{meant}`?" if meant else suggestion(name, COMMANDS)
-        known = ", ".join(COMMANDS)
+        hint, known = suggestion(name, COMMANDS), ", ".join(COMMANDS)
         print(f"maesn: there is no command `{name}`.{hint} Known are: {known}.", file=sys.stderr)
         return USAGE_ERROR
     try:
@@ -109,20 +93,16 @@ def run(arguments: list[str]) -> int:
 @contextmanager
 def _interpreter(options: list[str]) -> Iterator[list[str]]:
     """Take `--python PATH` out of a command's options; until it ends, environments run there."""
-    words = [word for one in options for word in _words(one)]
-    if "--python" not in words:
+    from maesn.commands.options import read_first
+
+    found, others = read_first(options, "python")
+    if found.python is None:
         yield options
         return
     from maesn.foreign import hosted_in
 
-    place = words.index("--python")
-    with hosted_in([*words, ""][place + 1]):
-        yield words[:place] + words[place + 2 :]
-
-
-def _words(option: str) -> list[str]:
-    """Split `--python=PATH`; leave all other options as they are."""
-    return option.split("=", 1) if option.startswith("--python=") else [option]
+    with hosted_in(found.python):
+        yield others
 
 
 def _notes(error: BaseException | None) -> list[str]:

@@ -13,6 +13,7 @@ import json
 import os
 import platform
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,16 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     write_whole(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
+def read_rows(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
+    """Read the rows of a `.csv` or `.csv.gz` file as texts; see `read_json`."""
+    opened = gzip.open if path.suffix == ".gz" else open
+    with (
+        _expecting("a table", path, remedy),
+        opened(path, "rt", newline="", encoding="utf-8") as file,
+    ):
+        return list(csv.DictReader(file))
+
+
 def read_json(path: Path, remedy: str = "restore it") -> dict[str, Any]:
     """Read a JSON object. Messages of errors end with the remedy."""
     with _expecting("a JSON object", path, remedy):
@@ -149,7 +160,7 @@ def _expecting(content: str, path: Path, remedy: str) -> Iterator[None]:
     try:
         archive.refuse_special(path)
         yield
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, ValueError, csv.Error, zlib.error) as error:
         reason = getattr(error, "strerror", None)
         got = reason.lower() if reason else f"something else that cannot be read ({error})"
         raise RunError(f"Expected {content} at `{path}`, got {got}; {remedy}.") from error

@@ -1,6 +1,5 @@
 """`maesn render`: the episodes are those of `maesn adapt`, and the files show them."""
 
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.film import Filmed, record_adaptation
 from maesn.evaluation.running import new_tasks
 from maesn.runs.run import Run
-from maesn.worlds import DeviceWorld, EpisodeError
+from maesn.worlds import EpisodeError
 from maesn.worlds.collector import Collector
 
 TASK, PLAYED, SHOWN, AFTER = 3, 5, 2, [0, 10]
@@ -207,51 +206,6 @@ def test_what_is_no_picture_is_refused(painting: Run, tmp_path: Path) -> None:
     task = painters_task(paints=False)
     with pytest.raises(EpisodeError, match=r"`render` must return a picture, .* got NoneType"):
         maesn.render(painting, asked, task=task, family=painters, out=tmp_path)
-
-
-def test_a_search_is_filmed_without_further_options(run: Run, drawn: list[Drawn]) -> None:
-    rule = ["--rule", "own_searches:BestOf"]
-    command = ["render", str(run.directory), *rule, "--episodes", "2"]
-    assert cli.run(command) == 0
-    assert len(list((run.directory / "render").iterdir())) == 2
-
-
-def test_what_was_opened_is_closed_whatever_happens(
-    run: Run, drawn: list[Drawn], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    closed: list[str] = []
-    for kind in (DeviceWorld, Drawn):
-        monkeypatch.setattr(kind, "close", lambda _, name=kind.__name__: closed.append(name))
-    asked = Evaluation(episodes=2, episodes_per_update=2)
-    arguments = {"evaluation": asked, "shown": 1, "after": (0,), "out": tmp_path}
-    maesn.render(run, **arguments)
-    whole = closed.copy()
-    monkeypatch.setattr(Drawn, "draw", None)  # drawing fails
-    with pytest.raises(TypeError, match="not callable"):
-        maesn.render(run, **arguments)
-    # The first scene finds out whether anything can be drawn here.
-    assert whole == ["Drawn", "DeviceWorld", "Drawn"]
-    assert closed == 2 * whole
-
-
-def test_episodes_stand_in_rows_and_reached_goals_are_framed() -> None:
-    grey, light = np.full((190, 300, 3), 90, np.uint8), np.full((190, 300, 3), 200, np.uint8)
-    first = [Filmed({}, 1.0, False, [grey, grey]), Filmed({}, 2.0, True, [grey, light])]
-    second = [Filmed({}, 3.0, False, [grey, light]), Filmed({}, 4.0, False, [grey, grey])]
-    _, png = film.compose("title", {0: first, 50: second}, 40)
-    with Image.open(io.BytesIO(png)) as sheet:
-        pixels = np.asarray(sheet).astype(int)
-    # Light pictures at the right of the first row and at the left of the second.
-    half, middle = (length // 2 for length in pixels.shape[:2])
-    quarters = [
-        [(part == colour).all(-1).sum() for part in np.split(rows, [middle], axis=1)]
-        for rows in np.split(pixels, [half])
-        for colour in (200, [0, 158, 115])
-    ]
-    (_, light), framed, (other_light, _), unframed = quarters
-    assert min(light, other_light) > 0.85 * 190 * 300
-    assert framed[1] > 0
-    assert framed[0] == sum(unframed) == 0
 
 
 @pytest.mark.parametrize(

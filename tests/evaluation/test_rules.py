@@ -241,10 +241,3 @@ def test_mistakes_in_the_text_of_a_rule_get_a_sentence(text: str, message: str) 
     with pytest.raises(RunError) as refused:
         from_text("rule", text)
     assert message in str(refused.value)
-
-
-def test_a_label_says_what_is_changed() -> None:
-    assert Evaluation().label == ""
-    assert Evaluation(rule=GradientRule(2.0, 10)).label == "steps × 2; 10 full steps"
-    both = Evaluation(episodes=1000, wrappers=(ThenTrpo(), VimeBonus()))
-    assert both.label == "500 episodes, then TRPO; bonus by VIME"

@@ -25,7 +25,6 @@ from maesn.search.prior import PriorSettings
 ITERATIONS = 6
 MORE = 8
 """Iterations after a run was gone on with."""
-LONG = 150
 ADAPTATION: dict[str, Any] = {"num_tasks": 2, "episodes": 4, "episodes_per_update": 2}
 PRIOR = PriorSettings(draws=12, adapted=False, episodes=2, searches=0)
 SAFEGUARDS = Safeguards(lower=(-0.05, -0.04), max_change=0.03, max_latent_norm=0.7)
@@ -60,21 +59,16 @@ class Material:
         """A finished run of six iterations on tasks of its own."""
         return finish(self.new(self.directory / "run"))
 
-    def new(self, directory: Path, **settings: Any) -> Run:
+    def new(self, directory: Path) -> Run:
         """A run that has not begun."""
         tasks = self.directory / "goals.npz"
         if not tasks.exists():
             np.savez(tasks, goal=goals(3))
-        return create(
-            directory, Drift(), **{"iterations": ITERATIONS, "tasks": str(tasks)} | settings
-        )
+        return create(directory, Drift(), iterations=ITERATIONS, tasks=str(tasks))
 
-    def copy(self, directory: Path, iterations: int = ITERATIONS) -> Run:
-        """The same run, as far as it had come after so many iterations."""
-        if iterations == ITERATIONS:
-            shutil.copytree(self.run.directory, directory)
-            return Run.open(directory)
-        return finish(self.new(directory), iterations)
+    def copy(self, directory: Path) -> Run:
+        """The same run."""
+        return Run.open(shutil.copytree(self.run.directory, directory))
 
     @cached_property
     def outcome(self) -> Outcome:
@@ -86,15 +80,6 @@ class Material:
         """What eight become."""
         run = self.copy(self.directory / "longer")
         return outcome(finish(run, MORE))
-
-    def long(self, directory: Path) -> Run:
-        """A run that has not begun and takes half a second."""
-        return self.new(directory, iterations=LONG, checkpoint_every=20)
-
-    @cached_property
-    def long_outcome(self) -> Outcome:
-        """What it becomes."""
-        return outcome(finish(self.long(self.directory / "long")))
 
     @cached_property
     def changed(self) -> Outcome:

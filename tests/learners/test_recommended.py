@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 import maesn
-from maesn import cli
 from maesn.commands.train import read_options
 from maesn.envs import FAMILIES, HOSTED
 from maesn.learners import PRESETS, method_name, recommended_settings
@@ -66,14 +65,3 @@ def test_the_command_begins_with_what_suits(words: str, learner: Any, episodes: 
     options = read_options("maesn", words.split())
     assert options.learner == learner
     assert options.run_settings.episodes_per_task == episodes
-
-
-def test_the_command_says_so_in_one_line(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    few = ["--family", "wheeled", "--iterations", "0", "--policy.hidden-sizes", "4"]
-    assert cli.run(["train", "maesn", *few, "--run", str(tmp_path / "a")]) == 0
-    (said,) = [line for line in capsys.readouterr().out.splitlines() if "that suit" in line]
-    assert "context.initial_spread 0.0" in said
-    overridden = [*few, "--context.initial-spread", "1", "--run", str(tmp_path / "b")]
-    assert cli.run(["train", "maesn", *overridden]) == 0
-    assert "that suit" not in capsys.readouterr().out
-    assert maesn.Run.open(tmp_path / "a").learner.context.initial_spread == 0

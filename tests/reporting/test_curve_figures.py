@@ -18,7 +18,7 @@ from maesn.reporting.reading import DEPLOY, stack_seeds
 from maesn.reporting.runs import LearningCurve
 from maesn.reporting.sources import read_series
 from maesn.reporting.statistics import INTERVAL, bootstrap, mean
-from maesn.reporting.style import METHOD_STYLES, Drawn
+from maesn.reporting.style import Drawn
 
 
 def learning_figure(directory: Path, seeds: Sequence[LearningCurve]) -> Drawn:
@@ -82,13 +82,6 @@ def test_learning_curves(tmp_path: Path) -> None:
     check_saved_whole(Drawn(figure), tmp_path)
 
 
-def test_a_method_without_a_metric_has_no_line_for_it(tmp_path: Path) -> None:
-    curve = replace(learning_curve(), return_before=np.full(30, np.nan))
-    _, before, after = learning_figure(tmp_path, (curve, curve)).figure.axes
-    assert all(np.isnan(np.asarray(one.get_ydata(), float)).all() for one in before.lines)
-    assert len(after.lines) == 3  # two averages, and what that of the single seed is of
-
-
 def test_moving_mean_is_brute_force() -> None:
     values = np.random.default_rng(0).normal(size=(2, 9))
     expected = [[row[max(0, i - 2) : i + 3].mean() for i in range(9)] for row in values]
@@ -150,10 +143,3 @@ def test_the_figure_marks_baseline_and_oracle_and_notes_what_differs(tmp_path: P
         "RL²: the first 5 of 8 tasks alone",
     ]
     check_saved_whole(drawn, tmp_path)
-
-
-def test_methods_are_drawn_in_their_own_style() -> None:
-    axes = adaptation_figure().figure.axes[0]
-    (drawn,) = (one for one in axes.lines if one.get_label() == "MAML (bias only)")
-    style = METHOD_STYLES["maml_bias_only"]
-    assert (drawn.get_color(), drawn.get_marker()) == (style.colour, style.marker)

@@ -36,7 +36,7 @@ def run_page(directory: Path) -> dict[str, Any]:
 def test_the_page_is_one_file_of_what_the_run_recorded(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run")
     document = run_page(run)
-    write_page(tmp_path / PAGE, document)
+    write_page(tmp_path, document)
     page = (tmp_path / PAGE).read_text()
     assert (tmp_path / PAGE).stat().st_size < 1e6
     assert data_of(page) == json.loads(json.dumps(document))
@@ -98,7 +98,7 @@ def test_latents_and_beliefs_of_different_runs_share_a_page(tmp_path: Path) -> N
 def test_hostile_names_stay_texts(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", note=HOSTILE)
     document = run_page(run) | {"title": HOSTILE}
-    write_page(tmp_path / PAGE, document)
+    write_page(tmp_path, document)
     page = (tmp_path / PAGE).read_text()
     assert "<script>alert" not in page
     found = data_of(page)

@@ -36,27 +36,6 @@ def test_ends_of_the_curves(family: str, method: str, start: float, end: float) 
     assert (curve.update[0], curve.update[-1]) == (0, 99)
 
 
-METHODS = "maesn", "latent_space", "maml_bias_only", "maml_bias", "vime", "trpo", "reinforce"
-
-
-@pytest.mark.parametrize("family", ["wheeled", "ant", "blockpush"])
-@pytest.mark.parametrize("method", METHODS)
-def test_no_point_is_of_the_legend(family: str, method: str) -> None:
-    curve = published_curve(family, method)
-    if curve is None:  # of the two with a bias, one was published per family
-        assert method == ("maml_bias_only" if family == "ant" else "maml_bias")
-        return
-    assert np.abs(np.diff(curve.mean_return[5:])).max() < 9.0  # they are steep at first alone
-
-
-def test_what_could_not_be_read_is_absent() -> None:
-    curve = published_curve("blockpush", "vime")
-    assert curve is not None
-    assert curve.update[0] == 6
-    assert len(curve.update) == 93
-    assert (np.diff(curve.update) > 0).all()
-
-
 def test_only_the_same_protocol_is_comparable() -> None:
     table = adaptation_table()
     per_twenty = replace(table, episodes=20 * np.arange(4))

@@ -88,12 +88,6 @@ def test_the_line_that_is_being_written_is_left_out(tmp_path: Path) -> None:
     assert read_learning_curve(tmp_path) is None
 
 
-@pytest.mark.parametrize(("content", "line"), [("{\n", 1), ('{"iteration": 1}\n[]\n', 2)])
-def test_broken_metrics_are_refused(tmp_path: Path, content: str, line: int) -> None:
-    (tmp_path / "metrics.jsonl").write_text(content)
-    assert f"line {line}" in refused(lambda: read_learning_curve(tmp_path))
-
-
 @pytest.mark.parametrize("has_latents", [True, False])
 def test_exploration_is_read(tmp_path: Path, *, has_latents: bool) -> None:
     places = np.random.default_rng(0).normal(size=(10, 3, 2))
@@ -127,14 +121,3 @@ def test_latents_of_other_shapes_are_refused(
     np.savez(tmp_path / "latents.npz", **{**vars(latents()), **changed})
     with pytest.raises(RunError, match=r"(?s)adapt again\.$"):
         read_record(Latents, tmp_path / "latents.npz", "adapt again")
-
-
-def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "figures" / "exploration.npz"
-    file.parent.mkdir()
-    for content in (b"", b"PK\x03\x04 truncated", b"text"):
-        file.write_bytes(content)
-        refused(lambda: read_exploration(tmp_path))
-    with file.open("wb") as stream:
-        np.save(stream, np.zeros(3))
-    refused(lambda: read_exploration(tmp_path))

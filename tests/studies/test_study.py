@@ -14,7 +14,6 @@ import time
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from inline_executor import Here
 from scripts import load_script
 from study_files import files
 
-from maesn import cli
 from maesn.evaluation import exploration
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import PRESETS
@@ -31,7 +29,6 @@ from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import write_report
 from maesn.reporting.sources import compare_study
-from maesn.reporting.tables import TextTable
 from maesn.runs.log import METRICS
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
 from maesn.studies.execution import SECONDS_TO_BEGIN, AbstractExecutor, Execution
@@ -47,7 +44,7 @@ from maesn.studies.spec import (
     ScratchSpec,
     StudySpec,
 )
-from maesn.studies.study import FailedJobsError, Results, Study
+from maesn.studies.study import FailedJobsError, Study
 
 FEW = EvaluationSpec(Evaluation(num_tasks=4, episodes=3, episodes_per_update=3, tasks_at_once=2))
 
@@ -112,9 +109,7 @@ def status(study: Study, out: Path) -> dict[str, str]:
     return {name: execution.status(job)[0] for name, job in execution.jobs.items()}
 
 
-def test_a_study_is_trained_adapted_and_compared_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
     executor = Watched()
     done = Study(SMALL).run(tmp_path, executor=executor)
     # A run, its four tasks two at a time, and as many of each baseline.
@@ -138,8 +133,6 @@ def test_a_study_is_trained_adapted_and_compared_once(
     shutil.rmtree(training)
     Study(SMALL).run(tmp_path, executor=again)
     assert again.started == [training.name]
-    assert cli.run(["study", "status", str(tmp_path)]) == 0
-    assert "small: 7 of 7 jobs are done" in capsys.readouterr().out
     # Another study shares what it has in common, whatever it calls itself and its runs.
     other = Watched()
     runs, scratch = {"yours": SMALL.runs["mine"]}, {"vpg": ScratchSpec("reinforce")}
@@ -236,11 +229,6 @@ def test_figures_train_no_run_that_is_not_compared() -> None:
     assert [one.recorded.keys() for one in study.comparisons] == [{"mine"}]
 
 
-def test_a_study_made_in_python_names_only_what_there_is() -> None:
-    with pytest.raises(RunError, match=r"`study`, `lines\.1\.run`: there is no name `nine`"):
-        Study(dataclasses.replace(SMALL, lines=(LineSpec(run="nine"),)))
-
-
 def test_files_of_tasks_of_one_name_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -302,21 +290,6 @@ def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     Study(spec).run(tmp_path, executor=Watched())
 
 
-def test_a_command_prints_what_there_is_and_fails_if_a_job_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def run(self: Study, out: Path, **options: Any) -> Results:
-        table = TextTable("Ends", ("method",), (("zero action",),))
-        failed = {"adapt-a": "an accident.", "adapt-b": "another"}
-        raise FailedJobsError(failed, Results(out, [table]))
-
-    monkeypatch.setattr(Study, "run", run)
-    assert cli.run(["study", "run", "quick", "--out", str(tmp_path)]) == cli.USAGE_ERROR
-    said = capsys.readouterr()
-    assert "zero action" in said.out
-    assert said.err.startswith("maesn study: the job `adapt-a` failed, and 1 more: an accident. ")
-
-
 def test_estimates_of_time_say_what_they_rest_on(tmp_path: Path) -> None:
     quick = Study.load("quick").execution(tmp_path)
     estimate = quick.left(workers=2)
@@ -369,25 +342,12 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
     assert '`if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
 
 
-def test_a_study_that_cannot_write_starts_no_workers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(self: Study, out: Any) -> None:
-        raise RunError("the disk is full")
-
-    monkeypatch.setattr(Study, "write_results", full)
-    before = dict(os.environ)
-    with pytest.raises(RunError, match="the disk is full"):
-        Study(SMALL).run(tmp_path)
-    assert dict(os.environ) == before  # in which workers find their number of threads
-
-
 def test_one_job_of_an_array(tmp_path: Path) -> None:
     study = Study(SMALL)
     train, *others = study.jobs
     with pytest.raises(RunError, match=f"needs `{train}` to be done before"):
         study.run(tmp_path, executor=Here(), only=others[0])
-    with pytest.raises(RunError, match="no job `nothing`: `--dry-run` lists them"):
+    with pytest.raises(RunError, match="no job `nothing`: `maesn study status` lists"):
         study.run(tmp_path, executor=Here(), only="nothing")
     Study(SMALL).run(tmp_path, executor=Here(), only=train)
     assert list(status(study, tmp_path).values()) == ["done", *["waiting"] * len(others)]

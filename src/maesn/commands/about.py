@@ -82,5 +82,4 @@ def _settings(rule: Any) -> str:
 
 
 def _first_lines(described: Mapping[str, Any]) -> dict[str, str]:
-    """Return the first lines of docstrings."""
     return {name: one.__doc__.strip().splitlines()[0] for name, one in described.items()}

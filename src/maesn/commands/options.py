@@ -58,12 +58,18 @@ def command(
 
 def _by_protocol(parameter: inspect.Parameter, arguments: list[str]) -> inspect.Parameter:
     """Return a parameter whose default, if it is an evaluation, is by the protocol, if any."""
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--protocol", nargs="?")
-    name, usual = first.parse_known_args(arguments)[0].protocol, parameter.default
+    name, usual = read_first(arguments, "protocol")[0].protocol, parameter.default
     if name is None or not isinstance(usual, Evaluation):
         return parameter
     return parameter.replace(default=usual.changed(protocol=name))
+
+
+def read_first(arguments: list[str], *names: str) -> tuple[argparse.Namespace, list[str]]:
+    """Return options that decide about others, and all arguments but these; "" has no value."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name in names:
+        parser.add_argument(f"--{name}", nargs="?", const="")
+    return parser.parse_known_args(arguments)
 
 
 def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:

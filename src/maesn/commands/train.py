@@ -1,15 +1,13 @@
 """`maesn train METHOD --run DIR`: meta-train in a new run directory."""
 
-import argparse
 import dataclasses
-from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from maesn import api, learners
-from maesn.commands.options import parse
+from maesn.commands.options import parse, read_first
 from maesn.commands.runs import say_what_is_next
 from maesn.envs import is_own
 from maesn.envs.sources import resolve_family
@@ -76,18 +74,13 @@ def train(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     if ":" in method:
         settings = dataclasses.replace(settings, method=method)
-    else:
-        _say_what_suits(method, options)
     given = {name: getattr(options, name) for name in ("init_from", "keep", "sharing")}
     say_what_is_next(api.train(learner, settings, directory, **given))
 
 
 def read_options(method: str, arguments: list[str]) -> Options:
     """Return the options behind a method, whose defaults depend on `--family` and `--settings`."""
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--family", nargs="?")
-    first.add_argument("--settings", nargs="?")
-    found, _ = first.parse_known_args(arguments)
+    found, _ = read_first(arguments, "family", "settings")
     family = found.family or RunSettings().family
     if ":" in method:
         default = Options(RunSettings(family=family), own_method(method))
@@ -98,23 +91,3 @@ def read_options(method: str, arguments: list[str]) -> Options:
         default = Options(settings, learners.recommended(method, family))
     options: Options = parse(Options, f"train {method}", arguments, default)
     return options
-
-
-def _say_what_suits(method: str, options: Options) -> None:
-    """Print the defaults that are the family's own and were not overridden."""
-    family = options.run_settings.family
-    suited = (
-        (options.learner, learners.recommended_settings(method, family)),
-        (options.run_settings, learners.recommended_run(method, family)),
-    )
-    kept = [
-        f"{path} {type(value).__name__ if dataclasses.is_dataclass(value) else value}"
-        for settings, found in suited
-        for path, value in found.items()
-        if attrgetter(path)(settings) == value
-    ]
-    if kept and options.settings == "recommended":
-        print(
-            f"settings that suit `{family}`: {', '.join(kept)} (--settings reference for the "
-            "published ones)"
-        )

@@ -179,7 +179,6 @@ def spread_latents(size: int) -> np.ndarray:
 
 
 def _searches(run: Run) -> RecordedSearches:
-    """Search in the first tasks of the test set."""
     with new_tasks(run, Evaluation(rule=SearchRule(), num_tasks=_TASKS)) as (world, learner):
         collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), _TASKS)
         states, played = _play_on(learner, collect, keys, jnp.arange(_TASKS), _EPISODES)

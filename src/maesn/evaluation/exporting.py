@@ -26,11 +26,7 @@ def export_run(
     task: int | None,
     stated: Stated,
 ) -> None:
-    """Write the last checkpoint of a run as `maesn.export` says, whose arguments these are.
-
-    Raises:
-        RunError: the run cannot be exported, or the latents do not fit.
-    """
+    """Write the last checkpoint of a run as `maesn.export` says, whose arguments these are."""
     checkpoint, env = run.latest(), run.env()
     about: dict[str, Any] = {"method": run.settings.method, "iteration": checkpoint.iteration}
     start = search = None
@@ -71,8 +67,7 @@ def export_run(
 def adapted_latent(run: Run, path: Path, task: int) -> tuple[Latent, int]:
     """Return the latent `[z]` that an adaptation found for a task, and the updates behind it.
 
-    Raises:
-        RunError: the file is no latents, or of other weights than the run's, or lacks the task.
+    `RunError` says that the file is no latents, of other weights than the run's, or lacks the task.
     """
     record = path.with_suffix("").with_suffix(RECORD)
     if record.exists() and read_json(record).get("weights") != run.identity()["weights"]:

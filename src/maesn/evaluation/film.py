@@ -41,11 +41,9 @@ _HOLD = 1500  # milliseconds that the last picture stays
 class Filmed(NamedTuple):
     """An episode."""
 
-    states: HostReadings
-    """`[time, ...]` each, up to the one that ended it if that can be drawn."""
+    states: HostReadings  # `[time, ...]` each, up to the one that ended it if that can be drawn
     total_return: float
-    solved: bool
-    """Whether it reaches the goal region at some time."""
+    solved: bool  # whether it reaches the goal region at some time
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]] = ()
     """That its environment has drawn; none if states are to be drawn."""
 
@@ -142,7 +140,6 @@ def record_adaptation(
 def _filmed(
     world: AbstractWorld, episodes: Episodes, readings: Readings | HostReadings, number: int
 ) -> Filmed:
-    """Return an episode of the only task."""
     valid, solved, returns = (
         np.asarray(x)[0, number]
         for x in (episodes.valid, episodes.solved, episodes.undiscounted_return)

@@ -17,16 +17,15 @@ class Protocol(NamedTuple):
 
     episodes_per_update: int
     episodes: int
-    num_tasks: int | None
-    reward: RewardKind
-    deploy_episodes: int
-    deploy_after: tuple[int, ...]
-    measure: str
-    """The number that is reported, after the last episode: a column of the table."""
-    free: tuple[str, ...]
-    """Settings that may be given other values, because the source has several, or tasks may be
-    those of validation, on which settings are chosen."""
+    num_tasks: int | None = None
+    reward: RewardKind = "sparse"
+    deploy_episodes: int = 1
+    deploy_after: tuple[int, ...] = ()
     tasks: str = "test"
+    measure: str = "mean_return"  # what is reported after the last episode: a column of the table
+    # Settings that may be given other values, because the source has several, or tasks may be those
+    # of validation, on which settings are chosen.
+    free: tuple[str, ...] = ("tasks", "num_tasks", "episodes")
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of an evaluation."""
@@ -40,39 +39,17 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "maesn": Protocol(
         episodes_per_update=50,
         episodes=500,
-        num_tasks=None,
-        reward="sparse",
         deploy_episodes=0,
-        deploy_after=(),
-        measure="mean_return",
         free=("tasks", "num_tasks", "episodes", "episodes_per_update"),
     ),
     # katerakelly/oyster, `_do_eval` in rlkit/core/rl_algorithm.py, configs/sparse-point-robot.json:
     # twenty episodes of twenty tasks, actions without noise; the last one counts. On robots they
     # are three, 600 steps. There z of the last episode is a draw from the posterior, here its mean.
-    "pearl": Protocol(
-        episodes_per_update=1,
-        episodes=19,
-        num_tasks=20,
-        reward="sparse",
-        deploy_episodes=1,
-        deploy_after=(),
-        measure="mean_return",
-        free=("tasks", "num_tasks", "episodes"),
-    ),
+    "pearl": Protocol(episodes_per_update=1, episodes=19, num_tasks=20),
     # lmzintgraf/varibad, `evaluate` in utils/evaluation.py: the return of each episode of a trial,
     # actions without noise. A trial has three episodes on its point goals, four on GridNavi, two
     # on robots; the tasks are drawn afresh.
-    "varibad": Protocol(
-        episodes_per_update=1,
-        episodes=2,
-        num_tasks=None,
-        reward="sparse",
-        deploy_episodes=1,
-        deploy_after=(),
-        measure="mean_return",
-        free=("tasks", "num_tasks", "episodes"),
-    ),
+    "varibad": Protocol(episodes_per_update=1, episodes=2),
     # Farama-Foundation/Metaworld, `metalearning_evaluation` in metaworld/evaluation.py and
     # docs/evaluation/evaluation.md: one adaptation step of 10 episodes with the environment's own
     # reward, then 3 episodes for each of 40 goals; success at any step counts. It ends these

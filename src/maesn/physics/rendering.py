@@ -18,12 +18,14 @@ _GOAL_COLOUR = (0.16, 0.63, 0.36, 1.0)
 _REGION_COLOUR = (0.16, 0.63, 0.36, 0.18)
 _MATERIALS = {"goal": _GOAL_COLOUR, "reach": _REGION_COLOUR}  # of a model's own marker
 _GLOW = 0.6  # without it the disc is grey in the shade
+_FLOOR_COLOUR = (0.9, 0.9, 0.91, 1.0)
 _TRAIL_COLOUR = (0.3, 0.05, 0.45, 1.0)
 _WAY_COLOUR = (0.04, 0.04, 0.04, 1.0)
 _TRAIL_WIDTH, _WAY_WIDTH = 3.0, 1.5  # pixels
 # Shares of the longer side of what the camera sees.
 _GOAL_SHARE, _RING_SHARE, _LINE_SHARE = 0.02, 0.035, 0.004
 _RING_CORNERS = 24
+_BRIGHT = 0.6  # of the light from the camera, for models that have no light of their own
 _AZIMUTH = 90.0  # degrees: y points away from the viewer and x to the right, as in a plot
 _ELEVATION = -62.0  # nearly a map, but the robot's shape is seen
 _MARGIN = 1.06  # of what the camera sees over what it must see
@@ -140,6 +142,9 @@ class _Arrangement:
         self._options = mujoco.MjvOption()
         self._side = 1.0 if view is None else float(np.ptp(view, axis=0).max())
         self._marker = _GoalMarker(model, _GOAL_SHARE * self._side)
+        self._floor = _missing_floor(model, self._data)
+        if not model.nlight:
+            model.vis.headlight.ambient[:] = model.vis.headlight.diffuse[:] = _BRIGHT
 
     def of(
         self,
@@ -155,6 +160,9 @@ class _Arrangement:
         self._marker.move(self._data, goal, radius)
         self.alone(qpos)
         self._marker.add_to(self._scene, goal, radius)
+        if self._floor is not None:
+            size, place = (10 * self._side, 10 * self._side, 0.1), (*goal, self._floor)
+            _shape(self._scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, _FLOOR_COLOUR)
         height = self._marker.height(self._data) + _LINE_SHARE * self._side
         _add_line(self._scene, way, height, _WAY_WIDTH, _WAY_COLOUR)
         _add_line(self._scene, trail, height, _TRAIL_WIDTH, _TRAIL_COLOUR)
@@ -174,6 +182,14 @@ class _Arrangement:
             int(mujoco.mjtCatBit.mjCAT_ALL), self._scene,
         )  # fmt: skip
         return self._scene
+
+
+def _missing_floor(model: Any, data: Any) -> float | None:
+    """Return how high a floor belongs into a model that has none: at 0, or below all of it."""
+    if (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any():
+        return None
+    mujoco.mj_kinematics(model, data)
+    return float((data.geom_xpos[:, 2] - model.geom_rbound).min(initial=0.0))
 
 
 class _GoalMarker:

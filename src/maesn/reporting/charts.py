@@ -142,12 +142,10 @@ def _curve(line: Line, x: Any, interval: statistics.Interval) -> Curve:
 
 
 def _counted(style: MethodStyle, num_seeds: int) -> MethodStyle:
-    """Let the label say that a line is that of several seeds."""
     return style if num_seeds == 1 else replace(style, label=f"{style.label}, {num_seeds} seeds")
 
 
 def _published(line: Line) -> Curve:
-    """Return the published curve, as far as the line itself goes."""
     assert line.published is not None
     episodes = line.published.update * (line.table.episodes_per_update or 1)
     shown = episodes <= line.table.episodes[-1]

@@ -33,8 +33,8 @@ PAGE = "report.html"
 _SHOWN_EPISODES, _SHOWN_POINTS = 50, 40
 
 
-def write_page(path: Path, document: Document) -> list[Path]:
-    """Write a document of `page_of` as one HTML file, and return what was written."""
+def write_page(directory: Path, document: Document) -> Path:
+    """Write a document of `page_of` as one HTML file, and return its path."""
     own, text = files("maesn.reporting"), json.dumps(document, allow_nan=False)
     page = own.joinpath("page.html").read_text("utf-8")
     for name, content in {
@@ -44,8 +44,8 @@ def write_page(path: Path, document: Document) -> list[Path]:
         "program": own.joinpath("page.js").read_text("utf-8"),
     }.items():
         page = page.replace(f"<!-- {name} -->", content, 1)
-    write_whole(path, page.encode())
-    return [path]
+    write_whole(directory / PAGE, page.encode())
+    return directory / PAGE
 
 
 def page_of(study: Compared) -> Document:
@@ -54,12 +54,11 @@ def page_of(study: Compared) -> Document:
     Latents and paths of runs are those of the first run that has recorded latents, the belief that
     of the first that has recorded one. A `RunError` says which file is missing or broken.
     """
-    # Of a study the best line alone: it may have many.
-    headlines = [
-        _headline(line, one)
-        for one in study.comparisons
-        for line in (one.lines if study.series else [max(one.lines, key=_last_return)])
-    ]
+    headlines = []
+    for one in study.comparisons:
+        # Of a study the best line alone: it may have many.
+        best = max(one.lines, key=lambda line: float(line.column(-1).mean()))
+        headlines += [_headline(line, one) for line in (one.lines if study.series else [best])]
     compared = [_comparison(one, study.series) for one in study.comparisons]
     document = {"headlines": headlines, "comparisons": compared}
     if study.series:
@@ -70,10 +69,6 @@ def page_of(study: Compared) -> Document:
     provenance = {"columns": ["", "value"], "rows": rows}
     title = f"Study {study.study['study']}"
     return document | {"title": title, "subtitle": names, "provenance": provenance}
-
-
-def _last_return(line: Line) -> float:
-    return float(line.column(-1).mean())
 
 
 def _headline(line: Line, comparison: Comparison) -> Document:
@@ -111,7 +106,6 @@ def _of_runs(series: Sequence[Series]) -> Document:
 
 
 def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
-    """Return charts, tables, the tasks' returns and settings."""
     lines, about = comparison.lines, f"{comparison.family}, {comparison.tasks}"
     if series:
         tables = ["/".join(file.parts[-3:]) for line in lines for file in line.files]
@@ -135,7 +129,6 @@ def _is_known(chart: Chart) -> bool:
 
 
 def _chart(chart: Chart) -> Document:
-    """Return a chart as SVG, and what it shows in words."""
     lines = ", ".join(curve.style.label for curve in chart.curves)
     with publication_style():
         figure = plot_charts([chart], width=ONE_COLUMN)

@@ -1,9 +1,6 @@
 """The tables that adaptations leave: their names, and the curves in them."""
 
-import csv
-import gzip
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from maesn.reporting.runs import RECORDED_TASKS
-from maesn.runtime import archive
-from maesn.storage import RunError, read_json
+from maesn.storage import RunError, read_json, read_rows
 
 # TASKS-REWARD, and behind it rule and budget where they are not the usual ones, as in
 # `-search-300275-with-10-episodes`.
@@ -70,17 +66,6 @@ def usual_table(run: Path) -> Path | None:
 def latents_beside(table: Path) -> Path:
     """Return where the adapted latents of a table are."""
     return table.with_name(table.name.removesuffix(".gz")).with_suffix(LATENTS)
-
-
-def read_rows(path: Path, remedy: str = "restore it") -> list[dict[str, Any]]:
-    """Return the rows of a `.csv` or `.csv.gz` file as texts; a `RunError` if it is none."""
-    try:
-        archive.refuse_special(path)
-        opened = gzip.open if path.suffix == ".gz" else open
-        with opened(path, "rt", newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
-    except (OSError, EOFError, ValueError, csv.Error, zlib.error) as error:
-        raise RunError(f"Expected a table at `{path}`, got {error}; {remedy}.") from error
 
 
 Curves = Float[np.ndarray, "*seed task update"]

@@ -1,6 +1,6 @@
 """Reports of runs and of studies: figures and tables, from the files that they left."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from maesn.reporting.figures.curves import (
     plot_profiles,
 )
 from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
-from maesn.reporting.sources import RUN_FIGURES, Compared
+from maesn.reporting.sources import Compared
 from maesn.reporting.style import Drawn, save_figure
 from maesn.reporting.tables import TextTable, summary_tables, to_page
 from maesn.storage import write_rows, write_whole
@@ -28,8 +28,7 @@ _EVERYTHING = {"name": "comparison", "kind": "curves"}
 class Reported(NamedTuple):
     """The files and tables of a report."""
 
-    files: list[Path]
-    """Figures, and the page."""
+    files: list[Path]  # figures, and the page
     tables: list[TextTable]
     """For each comparison: the ends of all methods, the way there, and who beats whom."""
 
@@ -60,18 +59,7 @@ def write_report(study: Compared, out: Path) -> Reported:
     return Reported(files, tables)
 
 
-def say_missing(files: Sequence[Path], say: Callable[[str], None]) -> None:
-    """Say which figures of runs there was no data for."""
-    drawn = {file.name.partition("-")[0] for file in files}
-    if missing := [kind for kind in RUN_FIGURES if kind not in drawn]:
-        say(
-            f"Not drawn: {', '.join(missing)}. They need a method with a latent, or a family that "
-            "says where things are in a plane."
-        )
-
-
 def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[Path]:
-    """Draw a figure, as the file of a study describes it, if there is something to draw."""
     chosen = {*figure.get("lines", ())}
     lines = tuple(one for one in comparison.lines if not chosen or chosen & {one.name, one.source})
     if not lines or comparison.family not in (figure.get("families") or [comparison.family]):

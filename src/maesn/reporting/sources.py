@@ -46,12 +46,9 @@ class Compared(NamedTuple):
     """Everything that a report shows: a study in files, or one in memory of runs."""
 
     comparisons: list[Comparison]
-    figures: Sequence[Document]
-    """As the file of a study describes them."""
-    study: Document
-    """`study.json`; empty for runs."""
-    series: Sequence[Series]
-    """Runs; none for a study."""
+    figures: Sequence[Document]  # as the file of a study describes them
+    study: Document  # `study.json`; empty for runs
+    series: Sequence[Series]  # runs; none for a study
 
 
 def read_series(directories: Sequence[Path]) -> list[Series]:

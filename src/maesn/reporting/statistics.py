@@ -31,10 +31,8 @@ Statistic: TypeAlias = Callable[..., Float[np.ndarray, "*batch"]]
 class Interval(NamedTuple):
     """A statistic, and what a repetition might have given instead: numbers, or arrays `[point]`."""
 
-    mean: Any
-    """The statistic of the values themselves."""
-    low: Any
-    """Lower end; NaN if there is nothing to resample, or a resample has no such number."""
+    mean: Any  # the statistic of the values themselves
+    low: Any  # lower end; NaN if there is nothing to resample, or a resample has no such number
     high: Any
     standard_error: Any
 

@@ -33,12 +33,9 @@ _PERIOD = {"opt.timestep"}
 class Stated(NamedTuple):
     """What the user says of the robot, where the simulation does not say it."""
 
-    lower: Limit | None = None
-    """Smallest control of all actuators, or of each; -inf for no limit."""
-    upper: Limit | None = None
-    """Largest control; inf for no limit."""
-    control_period: float | None = None
-    """Seconds between two controls."""
+    lower: Limit | None = None  # smallest control of all actuators, or of each; -inf for no limit
+    upper: Limit | None = None  # largest control; inf for no limit
+    control_period: float | None = None  # seconds between two controls
 
 
 _NOTHING = Stated()
@@ -47,9 +44,8 @@ _NOTHING = Stated()
 def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
     """Write what `exported_policy` returns as an `.npz` or `.onnx` file; an old one is replaced.
 
-    Raises:
-        ValueError: the runtime could not read it, as of damaged latents or a damaged prior; an ONNX
-            file cannot hold it; or `onnx` is not installed.
+    `ValueError` says that the runtime could not read it, as of damaged latents or a damaged prior,
+    or that an ONNX file cannot be written.
     """
     ExportedPolicy.from_archive(policy.arrays(), policy.metadata())
     if is_onnx(path):

@@ -36,15 +36,13 @@ def is_onnx(path: str | os.PathLike[str]) -> bool:
 def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
     """Write a policy as an ONNX file, with all that a robot must know as metadata, in JSON.
 
-    Raises:
-        ValueError: the policy searches, which a network cannot, or `onnx` is not installed.
-        OSError: the file cannot be written.
+    `ValueError` says that the policy searches, which a network cannot, or that `onnx` is missing.
     """
     if exported.search is not None:
         raise ValueError(NO_SEARCH)
     onnx = _onnx()
     model = onnx.helper.make_model(
-        _graph(onnx.helper, onnx.TensorProto.FLOAT, exported),
+        _graph(onnx, exported),
         opset_imports=[onnx.helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
         producer_name="maesn",
@@ -65,9 +63,7 @@ def _onnx() -> Any:
     try:
         return import_module("onnx")
     except ImportError as error:
-        raise ValueError(
-            "an ONNX file needs the package onnx: pip install -e '.[onnx]'."
-        ) from error
+        raise ValueError("an ONNX file needs onnx: pip install -e '.[onnx]'.") from error
 
 
 def _metadata(exported: ExportedPolicy) -> dict[str, Any]:
@@ -95,8 +91,9 @@ def _metadata(exported: ExportedPolicy) -> dict[str, Any]:
     }
 
 
-def _graph(helper: Any, kind: int, exported: ExportedPolicy) -> Any:
+def _graph(onnx: Any, exported: ExportedPolicy) -> Any:
     """Return the network: a = mlp([o, z]), and clip(offset + scale * a, lower, upper)."""
+    helper = onnx.helper
     nodes: list[Any] = []
     constants: dict[str, np.ndarray] = {}
 
@@ -127,7 +124,7 @@ def _graph(helper: Any, kind: int, exported: ExportedPolicy) -> Any:
     nodes[-1].output[0] = "control"
 
     def tensor(name: str, size: int) -> Any:
-        return helper.make_tensor_value_info(name, kind, ["batch", size])
+        return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["batch", size])
 
     size = exported.action_size
     return helper.make_graph(
@@ -135,7 +132,7 @@ def _graph(helper: Any, kind: int, exported: ExportedPolicy) -> Any:
         "policy",
         [tensor("observation", exported.observation_size), tensor("z", exported.latent_size)],
         [tensor("control", size), tensor("action", size)],
-        [_tensor(helper, kind, name, value) for name, value in constants.items()],
+        [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()],
     )
 
 
@@ -144,7 +141,3 @@ def _inside(limit: FloatArray, other: FloatArray) -> Weights:
     single = limit.astype(np.float32)
     outside = np.where(other > limit, single < limit, single > limit)
     return np.where(outside, np.nextafter(single, other.astype(np.float32)), single)
-
-
-def _tensor(helper: Any, kind: int, name: str, value: np.ndarray) -> Any:
-    return helper.make_tensor(name, kind, value.shape, value.tobytes(), raw=True)

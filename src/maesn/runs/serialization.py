@@ -84,7 +84,6 @@ def _tagged(tag: Any, kind: type) -> type:
 
 
 def _extensions(kind: type) -> list[type]:
-    """Return a type and all that extend it."""
     extensions: list[type] = kind.__subclasses__()
     return [kind, *itertools.chain.from_iterable(map(_extensions, extensions))]
 
@@ -153,7 +152,6 @@ def fields_from_json(kind: type[Settings], document: Mapping[str, Any]) -> Setti
 
 
 def _hints(kind: Any) -> dict[str, Any]:
-    """Return the types of a dataclass's fields."""
     hints = get_type_hints(kind)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 

@@ -22,8 +22,7 @@ TRAINED = Path(__file__).resolve().parents[1] / "trained"
 def own_method(name: str) -> AbstractMetaLearner[Any, Any]:
     """Import a meta-learner of a user's own: a value, or a class or function that makes one.
 
-    Raises:
-        RunError: `module:name` cannot be imported, or is something else.
+    `RunError` says that `module:name` cannot be imported, or is something else.
     """
     found = imported(name, "method")
     if callable(found) and not isinstance(found, AbstractMetaLearner):

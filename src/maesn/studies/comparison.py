@@ -105,7 +105,6 @@ def compare(
 
 
 def _common(name: str, runs: Iterable[Run]) -> Any:
-    """Return a setting of the world that all runs must have in common."""
     found = {getattr(run.settings, name) for run in runs}
     if len(found) > 1:
         raise RunError(f"the runs must agree in `{name}`, got {' and '.join(sorted(found))}.")

@@ -28,8 +28,7 @@ SECONDS_TO_BEGIN = 10
 class AbstractExecutor(ABC):
     """Computes jobs, each with a fixed number of threads."""
 
-    slots: int
-    """Jobs that may run at a time."""
+    slots: int  # jobs that may run at a time
 
     @abstractmethod
     def submit(self, job: Job, jobs: Path) -> Future[str | None]:
@@ -96,7 +95,7 @@ class Execution:
     def only(self, name: str) -> None:
         """Drop all jobs but one; `RunError` if a job that it needs is not done."""
         if name not in self.jobs:
-            raise RunError(f"the study has no job `{name}`: `--dry-run` lists them.")
+            raise RunError(f"the study has no job `{name}`: `maesn study status` lists them.")
         missing = [need for need in self.jobs[name].needs if not self.is_done(need)]
         if missing:
             raise RunError(f"the job `{name}` needs `{missing[0]}` to be done before.")
@@ -117,7 +116,6 @@ class Execution:
         return all(map(self.is_done, job.needs)) and not is_locked(self.directory / job.name)
 
     def _needs_failed(self, job: Job) -> bool:
-        """Whether a job needs one that failed."""
         return any(name in self.failed or self._needs_failed(self.jobs[name]) for name in job.needs)
 
     def status(self, job: Job) -> tuple[str, str]:
@@ -142,7 +140,6 @@ class Execution:
         return sum(self._seconds_left(self.jobs[name], done)[0] for name in counted) / 3600
 
     def _found(self) -> dict[str, dict[str, Any]]:
-        """Return `done.json` of all jobs that are done, by their names."""
         return {name: found for name in self.jobs if (found := self.done(name)) is not None}
 
     def left(self, workers: int) -> str:
@@ -164,12 +161,8 @@ class Execution:
         return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
 
     def _seconds_left(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-        """Return the estimate for what is left of a job, and what says so."""
-        takes, basis = self._estimate(job, done)
-        return (1 - job.progress(self.directory / job.name)) * takes, basis
-
-    def _estimate(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-        """Return the seconds that a job takes, and what says so: jobs of its kind and family."""
+        """Return the estimate for what is left of a job, and what says so: jobs of its kind."""
+        left = 1 - job.progress(self.directory / job.name)
         kind = job.name.split("-")[:2]
         like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
         work = sum(
@@ -178,9 +171,9 @@ class Execution:
         )
         if work:
             seconds = sum(one["seconds"] for one in like.values())
-            return job.seconds * seconds / work, "what jobs of the same kind took"
+            return left * job.seconds * seconds / work, "what jobs of the same kind took"
         return (
-            SECONDS_TO_BEGIN + job.seconds,
+            left * (SECONDS_TO_BEGIN + job.seconds),
             f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, "
             "as on `point` and `wheeled`, or fewer where a method learns more from each",
         )

@@ -100,10 +100,10 @@ def _compute(job: Job, jobs: Path) -> str | None:
 class Ray(AbstractExecutor):
     """The Ray cluster of `RAY_ADDRESS`, else this machine. All its nodes must see `jobs`.
 
-    Each job takes as many CPUs as it has threads, and `gpus`, which may be a fraction.
+    Each job takes as many CPUs as it has threads.
     """
 
-    def __init__(self, workers: int, threads: int, jobs: Path, gpus: float = 0.0) -> None:
+    def __init__(self, workers: int, threads: int, jobs: Path) -> None:
         try:
             self._ray: Any = __import__("ray")
         except ImportError as error:
@@ -116,7 +116,7 @@ class Ray(AbstractExecutor):
         hosts = {name: os.environ[name] for name in (PYTHON,) if name in os.environ}
         variables = path | hosts | thread_variables(threads)
         self._remote = self._ray.remote(_on_cluster).options(
-            num_cpus=threads, num_gpus=gpus, max_retries=0, runtime_env={"env_vars": variables}
+            num_cpus=threads, max_retries=0, runtime_env={"env_vars": variables}
         )
         self.slots = workers  # jobs wait in Ray's queue while no CPUs are free
         with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:

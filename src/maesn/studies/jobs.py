@@ -35,16 +35,12 @@ STEPS_PER_SECOND = 50_000
 class Job:
     """A part of a study that is computed separately."""
 
-    name: str
-    """Name of its directory: kind, family, method and seed, and the digest."""
-    needs: tuple[str, ...]
-    """Names of the jobs that must be done before."""
-    steps: int
-    """Approximate number of environment steps, for estimates of time."""
+    name: str  # name of its directory: kind, family, method and seed, and the digest
+    needs: tuple[str, ...]  # names of the jobs that must be done before
+    steps: int  # approximate number of environment steps, for estimates of time
     compute: Callable[[Path], dict[str, Any]]
     """Writes results into the job's directory, and returns more entries for `done.json`."""
-    iterations: int = 0
-    """Meta-iterations of a training."""
+    iterations: int = 0  # meta-iterations of a training
     effort: int | None = None
     """`AbstractMetaLearner.effort` of a training; None for other jobs, of which it is `steps`."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from maesn import storage
-from maesn.reporting.reading import latents_beside, read_rows
+from maesn.reporting.reading import latents_beside
 from maesn.reporting.sources import MANIFEST
 from maesn.runs.config import installed_versions
 from maesn.studies.execution import Execution
@@ -90,7 +90,7 @@ def _join(jobs: Sequence[Path], table: Path) -> None:
     """Write a table of all tasks; beside it the adapted latents, where jobs have kept them."""
     if not all((job / ROWS).exists() for job in jobs):
         return
-    storage.write_rows(table, [row for job in jobs for row in read_rows(job / ROWS)])
+    storage.write_rows(table, [row for job in jobs for row in storage.read_rows(job / ROWS)])
     latents = latents_beside(table)
     if all((job / LATENTS).exists() for job in jobs):
         parts = [storage.read_arrays(job / LATENTS, "compute it again") for job in jobs]

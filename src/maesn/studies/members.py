@@ -42,17 +42,12 @@ class AbstractMember(ABC):
     """An agent with one seed that adapts to new tasks. Jobs take it to other processes."""
 
     seed: int
-    method: str = ""
-    """Name of the method, which decides its colour; empty for a baseline."""
+    method: str = ""  # name of the method, which decides its colour; empty for a baseline
     label: str = ""
-    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Settings by their path."""
-    identity: str
-    """Text that is equal for agents that act alike, seeds apart."""
-    needs: tuple[str, ...] = ()
-    """The job that trains it, if there is one."""
-    training_steps: int | None = None
-    """Environment steps of earlier training."""
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # settings by their path
+    identity: str  # text that is equal for agents that act alike, seeds apart
+    needs: tuple[str, ...] = ()  # the job that trains it, if there is one
+    training_steps: int | None = None  # environment steps of earlier training
 
     @abstractmethod
     def env(self, asked: Evaluation) -> AnyEnv:
@@ -73,14 +68,10 @@ class TrainedRun(AbstractMember):
 
     run: Run = dataclasses.field(compare=False, repr=False)
     """The run as it is or will be, for plans. Jobs open it themselves."""
-    init_from: str = ""
-    """Directory of the run that its training starts from, if any."""
-    directory: str = ""
-    """Directory of a run that exists."""
-    family: str | None = None
-    """`module:name`, if it is the user's own."""
-    own_method: str | None = None
-    """`module:name`, if it is the user's own."""
+    init_from: str = ""  # directory of the run that its training starts from, if any
+    directory: str = ""  # directory of a run that exists
+    family: str | None = None  # `module:name`, if it is the user's own
+    own_method: str | None = None  # `module:name`, if it is the user's own
 
     def __getstate__(self) -> dict[str, Any]:
         # A family of the user's own need not be anything that can be pickled.
@@ -228,13 +219,10 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
 def _settings(
     study: StudySpec, name: str, family: str, seed: int
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
-    """Return learner and settings of a run that is to be trained."""
     spec = study.runs[name]
     preset, usual, world = spec.preset or name, {}, study.world(family)
     if ":" in preset:
         learner = own_method(preset)
-    elif spec.source == "reference":
-        learner = learners.PRESETS[preset]()
     else:
         learner = learners.recommended(preset, world.family)
         usual = learners.recommended_run(preset, world.family)

@@ -53,8 +53,7 @@ class _Planner:
 
     study: StudySpec
     family: str
-    jobs: dict[str, Job]
-    """All planned jobs, those of earlier families included."""
+    jobs: dict[str, Job]  # all planned jobs, those of earlier families included
     runs: dict[str, Sequence[TrainedRun]] = dataclasses.field(default_factory=dict)
 
     def compare(self) -> Iterator[PlannedComparison]:
@@ -220,7 +219,6 @@ class _Planner:
 
 
 def _digest(member: AbstractMember, env: AnyEnv, **more: Any) -> str:
-    """Return a digest of all that decides a result of a member in a world."""
     return digest_of_document({"of": member.identity, "world": describe_env(env), **more})
 
 

@@ -14,15 +14,13 @@ class PlannedLine:
     """A run, a method from scratch or a baseline under one evaluation, with every seed."""
 
     name: str
-    source: str
-    """Name of the run or method, which lines under other evaluations share."""
+    source: str  # name of the run or method, which lines under other evaluations share
     asked: Evaluation
     num_tasks: int
     trial_episodes: int | None
     seeds: Sequence[tuple[AbstractMember, Sequence[str]]]
     """Members that differ in their seed alone, each with the jobs that evaluate it."""
-    label: str = ""
-    """Name in figures and tables."""
+    label: str = ""  # name in figures and tables
 
     @property
     def first(self) -> AbstractMember:
@@ -55,8 +53,7 @@ class PlannedComparison:
     """Family, variant, tasks, reward, radius and horizon, as the manifest has them."""
     lines: Mapping[str, Sequence[PlannedLine]]
     """The `lines` of the study; `baselines`, which learn nothing; the `oracle`, if there is one."""
-    recorded: Mapping[str, str]
-    """Name of a run -> the job that records its paths."""
+    recorded: Mapping[str, str]  # name of a run -> the job that records its paths
 
 
 def labelled(lines: Sequence[PlannedLine]) -> list[PlannedLine]:

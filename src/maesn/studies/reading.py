@@ -47,7 +47,6 @@ def read_study(source: str | Path) -> StudySpec:
 
 
 def _read(hint: Any, value: Any, place: Place) -> Any:
-    """Convert a value of a file to the type of its field."""
     kind, arguments = get_origin(hint), get_args(hint)
     if kind is tuple and not isinstance(value, list):
         value = [value]  # one for a list of one

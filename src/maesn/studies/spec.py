@@ -61,8 +61,6 @@ class RunSpec:
     """Method, or `module:name` of your own, which `directories` of its runs need; empty: NAME."""
     label: str = ""
     """Name in figures and tables; empty: that of the method."""
-    source: Literal["recommended", "reference"] = "recommended"
-    """Defaults: what was found to work on the family, or the published settings."""
     seeds: tuple[int, ...] = ()
     """Seeds of training; none: those of the study."""
     families: tuple[str, ...] = ()

@@ -206,7 +206,6 @@ def _draw_dots(axes: Axes, points: Points, colours: Colours) -> None:
 
 
 def _draw_ellipses(axes: Axes, centres: Points, half_axes: Points, **look: Any) -> None:
-    """Draw one ellipse around each point, in the units of the panel."""
     widths, heights = 2 * half_axes.T
     look |= {"units": "xy", "offsets": centres, "offset_transform": axes.transData}
     axes.add_collection(EllipseCollection(widths, heights, np.zeros(len(centres)), **look))
@@ -226,6 +225,5 @@ def direction_scale(goals: Points) -> ScalarMappable:
 
 
 def _direction_bar(figure: Figure, scale: ScalarMappable, label: str) -> None:
-    """Explain the colours of directions, once for all panels."""
     ticks = MultipleLocator(_ANGLE_STEP)
     figure.colorbar(scale, ax=figure.axes, label=label, ticks=ticks, shrink=0.85, aspect=25)
