@@ -85,9 +85,8 @@ lint: $(TEST_READY) ## Check style, types and which package imports which
 FAST := $(addprefix tests/, context test_public_surface.py \
   $(addprefix numerics/test_, categorical.py conjugate_gradient.py gaussian.py minibatch_descent.py returns.py) \
   $(addprefix runtime/test_, explorer.py mathematics.py safeguards.py storage.py) \
-  $(addprefix physics/test_, ant_model.py assumptions.py blockpush_model.py models.py native.py native_failures.py \
-    wheeled_model.py wheeled_motion.py) \
-  $(addprefix envs/test_, catalogue.py foreign_observations.py goals.py robots.py) \
+  $(addprefix physics/test_, models.py native.py native_failures.py) \
+  $(addprefix envs/test_, catalogue.py goals.py robots.py) \
   experience/test_episodes.py worlds/test_hosted.py inner/test_advantage.py learners/test_masking.py \
   $(addprefix runs/test_, checkpoint.py checkpoint_store.py compilation.py config.py serialization.py) \
   $(addprefix reporting/test_, adaptation_table.py published.py runs.py sources.py statistics.py tables.py))
