@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import importlib
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -158,3 +159,10 @@ def test_every_metric_is_described(prefix: str, info: type) -> None:
     for field in dataclasses.fields(info):
         name = f"{prefix}{field.name}"
         assert f"`{name}" in told or f"`.../{field.name}`" in rows, name
+
+
+def test_make_check_runs_tests_that_exist() -> None:
+    said = subprocess.run(["make", "--dry-run", "fast"], cwd=ROOT, capture_output=True, text=True)
+    named = re.findall(r"tests/\S+\.py", said.stdout)
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []
