@@ -39,12 +39,16 @@ def check_choice(name: str, value: str, choices: Any) -> None:
         raise ValueError(f"`{name}` must be {known}, got {value!r}.")
 
 
-def check_number(
-    name: str, value: int | float | None, least: int, most: int = LARGEST_COUNT
-) -> None:
-    """Refuse by ValueError a number outside of a range; None is never refused."""
-    if value is not None and not least <= value <= most:
-        bound = f"at least {least}" if value < least else f"at most {most}"
+def check_number(name: str, value: int | float | None, least: int, most: int | None = None) -> None:
+    """Refuse by ValueError a number outside of a range; None is never refused.
+
+    Without `most`, counts end at `LARGEST_COUNT`, and other numbers nowhere.
+    """
+    if value is None:
+        return
+    largest = most if most is not None else LARGEST_COUNT if isinstance(value, int) else math.inf
+    if not least <= value <= largest:
+        bound = f"at least {least}" if not value >= least else f"at most {largest}"
         raise ValueError(f"`{name}` must be {bound}, got {value}.")
 
 
