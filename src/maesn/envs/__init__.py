@@ -2,6 +2,13 @@
 
 from maesn.envs.ant import Ant as Ant
 from maesn.envs.ant import ant as ant
+from maesn.envs.ant_v5 import AntDir as AntDir
+from maesn.envs.ant_v5 import AntGoal as AntGoal
+from maesn.envs.ant_v5 import SparseAntGoal as SparseAntGoal
+from maesn.envs.ant_v5 import ant_dir as ant_dir
+from maesn.envs.ant_v5 import ant_goal as ant_goal
+from maesn.envs.ant_v5 import sparse_ant_goal as sparse_ant_goal
+from maesn.envs.base import AbstractEnv as AbstractEnv
 from maesn.envs.base import AbstractMujocoEnv as AbstractMujocoEnv
 from maesn.envs.base import AbstractPureEnv as AbstractPureEnv
 from maesn.envs.base import AnyEnv as AnyEnv
@@ -17,8 +24,11 @@ from maesn.envs.catalogue import is_own as is_own
 from maesn.envs.catalogue import split_variant as split_variant
 from maesn.envs.cheetah import Body as Body
 from maesn.envs.cheetah import CheetahBody as CheetahBody
+from maesn.envs.cheetah import CheetahDir as CheetahDir
+from maesn.envs.cheetah import CheetahVel as CheetahVel
 from maesn.envs.cheetah import cheetah_body as cheetah_body
 from maesn.envs.cheetah import cheetah_dir as cheetah_dir
+from maesn.envs.cheetah import cheetah_vel as cheetah_vel
 from maesn.envs.grid_navi import GridNavi as GridNavi
 from maesn.envs.grid_navi import grid_navi as grid_navi
 from maesn.envs.metaworld import HOSTED as HOSTED
@@ -31,6 +41,7 @@ from maesn.envs.sparse_point import SparsePoint as SparsePoint
 from maesn.envs.sparse_point import sparse_point as sparse_point
 from maesn.envs.tasks import NAMED_SETS as NAMED_SETS
 from maesn.envs.tasks import SETS as SETS
+from maesn.envs.tasks import SetName as SetName
 from maesn.envs.tasks import TaskFamily as TaskFamily
 from maesn.envs.tasks import TaskSet as TaskSet
 from maesn.envs.wheeled import Wheeled as Wheeled
