@@ -20,10 +20,13 @@ help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw figures and a page
-	@test -e runs/demo/config.json || $(BIN)/maesn train maesn --run runs/demo --iterations 80
-	@$(BIN)/maesn resume runs/demo
+	@echo "== MAESN learns to explore: 80 meta-iterations on dense reward"
+	@if test -e runs/demo/config.json; then $(BIN)/maesn resume runs/demo; \
+	  else $(BIN)/maesn train maesn --run runs/demo --iterations 80; fi
+	@echo "== it adapts to 100 unseen goals on sparse reward: by policy gradient, then by latent search"
 	@$(BIN)/maesn adapt runs/demo
 	@$(BIN)/maesn adapt runs/demo --rule search
+	@echo "== figures, tables and a page"
 	@$(BIN)/maesn report runs/demo
 
 # Meta-World needs a MuJoCo that the engine of our own robots is too new for.
