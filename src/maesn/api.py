@@ -247,6 +247,8 @@ def report(
     """
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
+    if out is not None and Path(out).suffix == ".html":
+        raise RunError(f"`{out}` must be a directory: the page in it is `report.html`.")
     if not isinstance(of[0], Run) and (studies := studies_in(Path(of[0]))):
         if len(of) > 1 or out is not None:
             raise RunError("a study is reported by itself, into its directory: maesn report DIR.")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 from learning_problems.prepared import UNEQUAL, make_problem, stack
+from learning_problems.transitions import episodes_of
 from learning_problems.translation import policy_to_reference, to_policy
 from playing import keys
 from reference.policy_gradient import reinforce_step, trpo_step
@@ -17,7 +18,11 @@ from maesn.context import Nothing
 from maesn.envs import find_family
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
+from maesn.experience.episodes import Episodes
+from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import SCRATCH, GradientStep, PolicyGradient, PolicyImprovement, TrustRegionStep
+from maesn.networks import MLP, Linear
+from maesn.numerics import DiagonalGaussian
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import GaussianMLP, GaussianMLPPolicy
 from maesn.worlds import make_world
@@ -54,6 +59,44 @@ def test_a_step_in_two_tasks_is_the_references_in_each(method: str, garbage: flo
 
 def stacked(policy: GaussianMLPPolicy, number: int) -> GaussianMLPPolicy:
     return jax.tree.map(lambda x: jnp.stack([x] * number), policy)
+
+
+GOAL, MEAN, STD, NUMBER = 0.7, 0.2, 0.5, 40_000
+
+
+def quadratic_bandit() -> tuple[Agents, Episodes]:
+    """One action per episode, drawn from N(mean, std²); the reward is -(a - goal)²."""
+    action = MEAN + STD * jax.random.normal(jax.random.key(0), (1, NUMBER, 1, 1))
+    distribution = DiagonalGaussian(
+        jnp.full(action.shape, MEAN), jnp.full(action.shape, np.log(STD))
+    )
+    episodes = episodes_of(np.zeros((1, NUMBER, 2, 1)), action, behaviour=distribution)
+    layer = Linear(jnp.zeros((1, 1, 1)), jnp.full((1, 1), MEAN))
+    policy = GaussianMLPPolicy(MLP((layer,)), jnp.full((1, 1), np.log(STD)))
+    rewarded = replace(episodes, reward=-((action[..., 0] - GOAL) ** 2))
+    return Agents(policy, Nothing(), shares_policy=False), rewarded
+
+
+def moved_by(rule: GradientStep | TrustRegionStep) -> np.ndarray:
+    """How far one step moves (mean, log std)."""
+    agents, episodes = quadratic_bandit()
+    improvement = PolicyImprovement(rule, AdvantageEstimator(ridge=1e-3))
+    state = improvement.begin(keys(1), agents)
+    policy = improvement(state, episodes).agents.policy
+    (layer,) = policy.mlp.layers
+    assert np.all(layer.weight == 0)  # the observation is 0
+    return np.array([layer.bias.item() - MEAN, policy.log_std.item() - np.log(STD)])
+
+
+# E[-(a - g)²] = -(m - g)² - s², so its slopes in m and log s are -2 (m - g) and -2 s². Advantages
+# are divided by the standard deviation of the reward: its variance is 2 s⁴ + 4 s² (m - g)².
+SLOPE = np.array([-2 * (MEAN - GOAL), -2 * STD**2])
+
+
+def test_adam_scales_the_step() -> None:
+    # Its first step has the size asked for, whatever the gradient.
+    found = moved_by(GradientStep(step_size=0.01, scaling="adam"))
+    np.testing.assert_allclose(found, 0.01 * np.sign(SLOPE), rtol=1e-3)
 
 
 def small(name: str, **settings: object) -> PolicyGradient:

@@ -11,11 +11,13 @@ import pytest
 from pages import ROOT, prose
 
 from maesn.reporting.report import SUMMARY
-from maesn.reporting.sources import compare_study, studies_in
+from maesn.reporting.sources import MANIFEST, compare_study, studies_in
 from maesn.reporting.tables import summary_tables, to_page
 from maesn.runs.run import Run
+from maesn.storage import read_json
 from maesn.studies.jobs import DONE
 from maesn.studies.members import RUN
+from maesn.studies.study import Study
 
 RESULTS = ROOT / "results"
 RUNS = sorted(path.parent for path in RESULTS.rglob("config.json"))
@@ -34,6 +36,15 @@ def test_results_stay_small() -> None:
     assert len(files) > len(RUNS)
     # As a file system counts: in blocks.
     assert sum(math.ceil(path.stat().st_size / 4096) * 4096 for path in files) < MOST_BYTES
+
+
+@pytest.mark.parametrize("file", ["paper", "ablation", *map(str, RESULTS.glob("[!f]*.toml"))])
+def test_kept_jobs_are_jobs_of_their_study(file: str) -> None:
+    """Nothing that is done would be computed again: digests of settings are as they were."""
+    study = Study.load(file)
+    manifest = RESULTS / study.spec.name / MANIFEST
+    kept = read_json(manifest)["jobs"] if manifest.exists() else []
+    assert set(kept) <= set(study.execution(RESULTS).jobs)
 
 
 @pytest.mark.parametrize("directory", studies_in(RESULTS), ids=name_of)

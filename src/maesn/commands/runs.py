@@ -1,6 +1,7 @@
 """Commands that work on runs and studies."""
 
-from functools import wraps
+from collections.abc import Callable
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
 from maesn.studies import comparison
 from maesn.studies.executors import ExecutorName
-from maesn.studies.study import Study
+from maesn.studies.study import FailedJobsError, Results, Study
 
 
 def say_what_is_next(run: Run) -> None:
@@ -81,7 +82,7 @@ def study(
     asked = Study.load(file)
     if action == "run":
         where = {"executor": executor, "workers": workers, "only": only}
-        print_tables(asked.run(out, **where, say=print).tables)  # type: ignore[arg-type]
+        _say_results(partial(asked.run, out, **where, say=print))  # type: ignore[arg-type]
         return
     execution = asked.execution(out)
     jobs, left = execution.jobs, execution.left(asked.workers(workers))
@@ -95,4 +96,14 @@ def study(
 @wraps(comparison.compare)
 def compare(*runs: Any, **options: Any) -> None:
     """Compare runs that exist, and say how far it is."""
-    print_tables(comparison.compare(*runs, **options | {"say": print}).tables)
+    _say_results(partial(comparison.compare, *runs, **options | {"say": print}))
+
+
+def _say_results(compute: Callable[[], Results]) -> None:
+    """Print the tables that a study leaves, also where some of its jobs fail."""
+    try:
+        tables = compute().tables
+    except FailedJobsError as error:
+        print_tables(error.results.tables)
+        raise
+    print_tables(tables)

@@ -80,13 +80,16 @@ def _check_bounds(index: int, low: float, high: float) -> None:
 
 
 def _control_period(
-    dt: float | None, rates: list[float | None], repeats: int
+    dt: float | None, rates: list[float | None], counts: list[int]
 ) -> tuple[float | None, str]:
     """Return the seconds between two steps of the outermost environment, or None and why.
 
-    The innermost one has steps of `dt` seconds, as Gymnasium's MuJoCo environments do; `repeats` of
-    them make one. Both show rounded rates of pictures, one for each step.
+    The innermost one has steps of `dt` seconds, as Gymnasium's MuJoCo environments do; `counts`
+    of them make the first steps. Both show rounded rates of pictures, one for each step.
     """
+    repeats = counts[0]
+    if len(set(counts)) > 1:
+        return None, "its wrappers may repeat actions, more or less often"
     inner_rate, rate = rates
     one = dt or (1 / inner_rate if inner_rate else None)
     if one is None:

@@ -65,7 +65,8 @@ class HostedEnvironment:
         """Return what the environment of a task says of itself."""
         env = self._with_task(task)
         inner = _unwrapped(env)
-        repeats, clocks = (1, []) if inner is env else self._first_step(env, inner)
+        has_steps = inner is not env and _action_layout(env.action_space)[0] in ("Box", "Discrete")
+        repeats, clocks = self._first_steps(env, inner) if has_steps else ([1], [])
         own = getattr(getattr(env, "spec", None), "max_episode_steps", None)
         return {
             "spaces": self._spaces,
@@ -76,31 +77,36 @@ class HostedEnvironment:
             "repeats": repeats,
         }
 
-    def _first_step(self, env: Any, inner: Any) -> tuple[int, list[int]]:
-        """Return how many steps of the innermost environment a step makes, as wrappers repeat it.
+    def _first_steps(self, env: Any, inner: Any) -> tuple[list[int], list[int]]:
+        """Return how many steps of the innermost environment two steps make, as wrappers repeat it.
 
         And the steps of an episode that each clock in between (`TimeLimit`) allows.
         """
-        original, count = inner.step, 0
+        original = inner.step
+        counts: list[int] = []
 
         def step(action: Any) -> Any:
-            nonlocal count
-            count += 1
+            counts[-1] += 1
             return original(action)
 
+        still = np.zeros(len(_action_layout(self._action_space)[1]))
         with contextlib.suppress(AttributeError):  # where nobody can look on
             inner.step = step
         try:
             _ask("reset", lambda: env.reset(seed=0))
-            still = np.zeros(len(_action_layout(self._action_space)[1]))
-            _ask("step", lambda: env.step(_action(self._action_space, still)))
+            for _ in range(2):
+                counts.append(0)
+                _, _, *ended, _ = _ask("step", lambda: env.step(_action(self._action_space, still)))
+                if any(ended):
+                    break
         finally:
             with contextlib.suppress(AttributeError):
                 del inner.step
         # `TimeLimit` has no public names for these two.
         clocks = [vars(one) for one in _layers(env) if vars(one).get("_elapsed_steps")]
-        lengths = [-(-one["_max_episode_steps"] // one["_elapsed_steps"]) for one in clocks]
-        return count or 1, lengths
+        steps = len(counts)
+        lengths = [-(-steps * one["_max_episode_steps"] // one["_elapsed_steps"]) for one in clocks]
+        return [count or 1 for count in counts], lengths
 
     def begin(self, task: bytes, seed: int) -> np.ndarray:
         """Begin an episode, and return its first reading."""

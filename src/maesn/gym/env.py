@@ -185,7 +185,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             self._scene.close()
 
     def _checked(self, task: Any) -> int | None:
-        whole = isinstance(task, int | np.integer)
+        whole = isinstance(task, int | np.integer) and not isinstance(task, bool)
         if task is not None and not (whole and 0 <= task < len(self.tasks)):
             raise ValueError(
                 f"`task` must be an index from 0 to {len(self.tasks) - 1}, got {task!r}."

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from maesn.numerics import (
 )
 from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicy
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_choice, check_number, check_positive
 
 
 class AbstractPolicyStep(eqx.Module):
@@ -56,6 +56,9 @@ class AbstractPolicyStep(eqx.Module):
         """
 
 
+Scaling: TypeAlias = Literal["none", "adam"]
+
+
 class GradientStepInfo(eqx.Module):
     """Info of one `GradientStep`."""
 
@@ -71,12 +74,20 @@ class GradientStep(AbstractPolicyStep):
 
     step_size: float = 0.1
     """Published: 0.1 on `wheeled` and `ant`, 1 on `blockpush`."""
+    scaling: Scaling = "none"
+    """`adam` for a gradient that Adam scales: the size of the step then means something else."""
 
     def __check_init__(self) -> None:
+        check_choice("scaling", self.scaling, Scaling)
         check_positive(self, "step_size")
 
+    @property
+    def _optimizer(self) -> optax.GradientTransformation:
+        make = {"none": optax.sgd, "adam": optax.adam}[self.scaling]
+        return make(self.step_size)
+
     def init(self, policy: AbstractPolicy) -> Any:
-        return optax.sgd(self.step_size).init(policy)
+        return self._optimizer.init(policy)
 
     def __call__(
         self,
@@ -91,7 +102,7 @@ class GradientStep(AbstractPolicyStep):
             return -mesh.part_of_mean(log_prob * advantages, trials.valid)
 
         value, gradient = mesh.total(jax.value_and_grad(loss)(policy))
-        moved = first_order_step(optax.sgd(self.step_size), policy, gradient, opt_state)
+        moved = first_order_step(self._optimizer, policy, gradient, opt_state)
         new, accepted = if_finite(moved, (policy, opt_state))
         return *new, GradientStepInfo(value, optax.tree.norm(gradient), accepted)
 

@@ -34,7 +34,9 @@ class MinibatchDescent(eqx.Module):
     """Longer gradients are shortened to this norm."""
 
     def __check_init__(self) -> None:
-        check_positive(self, "learning_rate", "max_gradient_norm")
+        check_positive(self, "learning_rate")
+        if not self.max_gradient_norm > 0:  # infinite: no gradient is shortened
+            raise ValueError(f"`max_gradient_norm` must be positive, got {self.max_gradient_norm}.")
         for name in ("epochs", "minibatches"):
             check_number(name, getattr(self, name), 1)
 

@@ -143,6 +143,7 @@ class TrustRegion(eqx.Module):
         longest: Vector,
         loss_before: Float[Array, ""],
     ) -> "_LineSearch":
+        """Try ever shorter candidates until one is acceptable."""
 
         def goes_on(search: _LineSearch) -> Bool[Array, ""]:
             return ~search.accepted & (search.tried < self.max_backtracks)

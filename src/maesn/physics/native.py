@@ -21,7 +21,7 @@ from maesn.physics.base import (
     sound_rows,
 )
 from maesn.physics.loading import load_model
-from maesn.settings import check_number
+from maesn.settings import check_choice, check_number
 from maesn.storage import RunError
 
 _Mask: TypeAlias = Bool[np.ndarray, " simulation"]
@@ -66,6 +66,8 @@ class NativeSimulator:
         nonfinite: Literal["raise", "report"] = "raise",
     ) -> None:
         check_number("frame_skip", frame_skip, 1)
+        check_number("num_threads", num_threads, 0)
+        check_choice("nonfinite", nonfinite, ("raise", "report"))
         self._engine = _import_engine()
         self._model = load_model(model)
         self._batch: Any = self._engine.Batch(self._model, num_simulations, num_threads)

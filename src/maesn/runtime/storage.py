@@ -64,6 +64,9 @@ def read_snapshot(path: str | os.PathLike[str]) -> Snapshot:
 
 
 def _safeguards(fields: dict[str, Any]) -> Safeguards:
+    # Older files have this entry.
+    if fields.pop("max_return_drop", None) is not None:
+        raise ValueError("`max_return_drop` is no safeguard any more: load the policy anew.")
     try:
         return Safeguards(**fields)
     except TypeError as error:

@@ -8,6 +8,7 @@ Source: Houthooft et al., "VIME: Variational Information Maximizing Exploration"
 https://arxiv.org/abs/1605.09674. "Published code" below is the authors'.
 """
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -94,8 +95,9 @@ class CuriosityBonus(eqx.Module):
         for name in ("samples", "batch_size", "pool_size", "pool_additions", "median_window"):
             check_number(name, getattr(self, name), 1)
         check_positive(self, "prior_std", "likelihood_std", "learning_rate")
-        for name in ("updates", "weight"):
-            check_number(name, getattr(self, name), 0)
+        check_number("updates", self.updates, 0)
+        if not 0 <= self.weight < math.inf:
+            raise ValueError(f"`weight` must be at least 0 and finite, got {self.weight}.")
         check_sizes(self, "hidden_sizes")
 
     def init(self, key: Key, observation_size: int, action_size: int) -> CuriosityState:
