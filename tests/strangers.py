@@ -4,6 +4,7 @@ Worker processes import this file, so it imports no JAX: they start in a fractio
 """
 
 import ctypes
+import itertools
 import os
 import subprocess
 import sys
@@ -89,14 +90,14 @@ class Plain(gymnasium.Env[Any, Any]):
 
 
 class Skip(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Repeats every action."""
+    """Repeats every action, as often as it is told."""
 
-    def __init__(self, env: Any, count: int) -> None:
+    def __init__(self, env: Any, *counts: int) -> None:
         super().__init__(env)
-        self.count = count
+        self.counts = itertools.cycle(counts)
 
     def step(self, action: Any) -> Any:
-        return [self.env.step(action) for _ in range(self.count)][-1]
+        return [self.env.step(action) for _ in range(next(self.counts))][-1]
 
 
 class Arm(gymnasium.Env[Any, Any]):

@@ -87,6 +87,7 @@ def test_limits_and_times_are_those_under_which_a_policy_is_trained(how: str) ->
 UNKNOWN = {
     "it has neither `dt` nor `render_fps`": lambda: Arm(None, None),
     "its `dt` is 0.01 s, but its `metadata` shows 20 steps a second": lambda: Arm(0.01, 20),
+    "its wrappers may repeat actions, more or less often": lambda: Skip(Arm(0.05, 20), 1, 2),
 }
 
 
@@ -181,6 +182,9 @@ REFUSED = {
     ),
     "must be a bounded `Box` of floating-point numbers or `Discrete`, got MultiDiscrete": Plain(
         BOX, spaces.MultiDiscrete([2, 3])
+    ),
+    "floating-point numbers or `Discrete`, got MultiDiscrete": TimeLimit(
+        Plain(BOX, spaces.MultiDiscrete([2, 3])), 5
     ),
     "the observation space must be a `Box`": Plain(spaces.Discrete(3), BOX),
     "`horizon` must be given for `plain`": Plain(BOX, BOX),

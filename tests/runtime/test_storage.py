@@ -54,6 +54,25 @@ def test_a_loaded_explorer_goes_on_exactly(policy: Path, tmp_path: Path) -> None
     assert_equal(go_on(loaded), shown)
 
 
+@pytest.mark.parametrize("drop", [None, 5.0])
+def test_a_safeguard_of_older_files_is_left_out_or_named(
+    policy: Path, tmp_path: Path, drop: float | None
+) -> None:
+    explorer = in_the_middle(policy)
+    explorer.save(tmp_path / "saved.npz")
+    with np.load(tmp_path / "saved.npz") as file:
+        arrays = dict(file)
+    metadata = json.loads(str(arrays["metadata"]))
+    metadata["explorer"]["safeguards"]["max_return_drop"] = drop
+    arrays["metadata"] = np.asarray(json.dumps(metadata))
+    np.savez(tmp_path / "older.npz", **arrays)
+    if drop is None:
+        assert contents(Explorer.load(tmp_path / "older.npz")) == contents(explorer)
+    else:
+        with pytest.raises(ValueError, match="no safeguard any more"):
+            Explorer.load(tmp_path / "older.npz")
+
+
 @pytest.mark.parametrize("num_steps", [None, 0, 1])
 def test_every_stage_survives(policy: Path, tmp_path: Path, num_steps: int | None) -> None:
     explorer = Explorer.load(policy, seed=12)
