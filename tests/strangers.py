@@ -100,6 +100,15 @@ class Skip(gymnasium.Wrapper[Any, Any, Any, Any]):
         return [self.env.step(action) for _ in range(next(self.counts))][-1]
 
 
+class Warm(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Plays steps of its own before an episode begins."""
+
+    def reset(self, **given: Any) -> Any:
+        self.env.reset(**given)
+        observation, *_, info = self.env.step(np.zeros(2, np.float32))
+        return observation, info
+
+
 class Arm(gymnasium.Env[Any, Any]):
     """Has limits of its own, and says how long its steps are, in one way or two."""
 

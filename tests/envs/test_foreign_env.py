@@ -25,6 +25,7 @@ from strangers import (
     Diarist,
     Plain,
     Skip,
+    Warm,
     draw_walks,
     make_hopeless,
     make_walker,
@@ -63,6 +64,7 @@ SEEN: dict[str, tuple[Any, Any, float, int]] = {
     "itself": (lambda arm: arm, LIMITS, 0.05, 7),
     "a frame skip": (lambda arm: Skip(TimeLimit(arm, 10), 4), LIMITS, 0.2, 3),
     "a clock around a frame skip": (lambda arm: TimeLimit(Skip(arm, 2), 10), LIMITS, 0.1, 10),
+    "warmed up": (lambda arm: TimeLimit(Warm(arm), 10), LIMITS, 0.05, 10),
     "clipped": (lambda arm: TimeLimit(ClipAction(arm), 10), LIMITS, 0.05, 10),
     "rescaled": (
         lambda arm: TimeLimit(RescaleAction(arm, np.float32(-1), np.float32(1)), 10),

@@ -83,7 +83,7 @@ class HostedEnvironment:
         And the steps of an episode that each clock in between (`TimeLimit`) allows.
         """
         original = inner.step
-        counts: list[int] = []
+        counts = [0]  # first those of the reset, which may play some steps itself
 
         def step(action: Any) -> Any:
             counts[-1] += 1
@@ -96,17 +96,18 @@ class HostedEnvironment:
             _ask("reset", lambda: env.reset(seed=0))
             for _ in range(2):
                 counts.append(0)
-                _, _, *ended, _ = _ask("step", lambda: env.step(_action(self._action_space, still)))
-                if any(ended):
+                result = _ask("step", lambda: env.step(_action(self._action_space, still)))
+                # What is no such tuple is refused when an episode is played.
+                if not isinstance(result, tuple) or any(result[2:4]):
                     break
         finally:
             with contextlib.suppress(AttributeError):
                 del inner.step
         # `TimeLimit` has no public names for these two.
         clocks = [vars(one) for one in _layers(env) if vars(one).get("_elapsed_steps")]
-        steps = len(counts)
+        steps = len(counts) - 1
         lengths = [-(-steps * one["_max_episode_steps"] // one["_elapsed_steps"]) for one in clocks]
-        return [count or 1 for count in counts], lengths
+        return [count or 1 for count in counts[1:]], lengths
 
     def begin(self, task: bytes, seed: int) -> np.ndarray:
         """Begin an episode, and return its first reading."""
