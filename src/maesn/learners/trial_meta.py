@@ -64,7 +64,7 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
     discount: eqx.AbstractVar[float]
     gae_lambda: eqx.AbstractVar[float]
 
-    def __check_init__(self) -> None:
+    def __check_init__(self) -> None:  # Equinox runs that of a subclass as well
         for name in ("meta_batch_size", "trial_episodes"):
             check_number(name, getattr(self, name), 1)
         for name in ("discount", "gae_lambda"):

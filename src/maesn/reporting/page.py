@@ -56,9 +56,10 @@ def page_of(study: Compared) -> Document:
     """
     headlines = []
     for one in study.comparisons:
-        # Of a study the best line alone: it may have many.
-        best = max(one.lines, key=lambda line: float(line.column(-1).mean()))
-        headlines += [_headline(line, one) for line in (one.lines if study.series else [best])]
+        shown = one.lines
+        if not study.series:  # of a study the best line alone: it may have many
+            shown = (max(one.lines, key=lambda line: float(line.column(-1).mean())),)
+        headlines += [_headline(line, one) for line in shown]
     compared = [_comparison(one, study.series) for one in study.comparisons]
     document = {"headlines": headlines, "comparisons": compared}
     if study.series:

@@ -60,7 +60,8 @@ SCHEMA = 3
 CONFIG = "config.json"
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
-# Runs of before could choose an engine, and digests in files and names cover the choice.
+# Older runs wrote `settings.engine`. It stays in the document, so that digests and the names of
+# jobs stay the same.
 _ENGINE = "native"
 
 

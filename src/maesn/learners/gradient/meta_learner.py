@@ -234,7 +234,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         _, own = over_tasks(_adapt, (adaptation, self.context, sizes, common), (own, *experience))
         return Agents.of_parts(common, own)
 
-    # `over_tasks` runs the following.
+    # `over_tasks` runs the following, and the two functions at the end.
     def _improved(self, shared: Any, rows: Any) -> tuple[tuple[GradientState, GradientInfo], None]:
         state, key, adaptation, common = shared
         (index, pre, post, advantages), own = rows
@@ -252,7 +252,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         return (after, describe_step(objective, parameters, improved, step)), None
 
 
-# `over_tasks` runs these. All that they return has a row per task, so their shared result is None.
+# All that these return has a row per task, so their shared result is None.
 def _estimate(estimator: AdvantageEstimator, episodes: Episodes) -> tuple[None, Advantages]:
     return None, estimator.of_tasks(episodes)
 
