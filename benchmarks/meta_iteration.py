@@ -23,7 +23,7 @@ from bare_physics import BarePhysics, Recorder
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
 from maesn.learners import PRESETS, AbstractMetaLearner, Problem
-from maesn.numerics.processes import Sharing
+from maesn.numerics.devices import request_devices, sharing
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -76,11 +76,10 @@ def measure(settings: Settings, learner: AbstractMetaLearner[Any, Any] | None = 
         settings: what is timed.
         learner: the learner instead of `settings.method` with `settings.meta_batch_size` tasks.
     """
-    sharing = Sharing()
-    with sharing.begun():
-        chosen = learner or PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
-        with sharing.of_tasks(chosen.tasks_for_cores):
-            return _measured(settings, chosen)
+    request_devices(None)
+    chosen = learner or PRESETS[settings.method](meta_batch_size=settings.meta_batch_size)
+    with sharing(None, chosen.tasks_for_cores):
+        return _measured(settings, chosen)
 
 
 def _measured(settings: Settings, learner: AbstractMetaLearner[Any, Any]) -> Times:

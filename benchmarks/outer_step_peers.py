@@ -35,7 +35,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import GradientMetaLearner, Problem
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.presets import maml
-from maesn.numerics.processes import Sharing
+from maesn.numerics.devices import request_devices, sharing
 from maesn.numerics.trust_region import TrustRegion
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
@@ -83,8 +83,9 @@ class Replay:
 
 def our_seconds(learner: GradientMetaLearner, settings: Settings, kept: Path | None) -> float:
     """Return the seconds of a step of ours; write the episodes to `kept`."""
-    family, sharing = find_family(settings.family), Sharing()
-    with sharing.begun(), sharing.of_tasks(learner.tasks_for_cores):
+    family = find_family(settings.family)
+    request_devices(None)
+    with sharing(None, learner.tasks_for_cores):
         world = make_world(family.make_env(), family.task_set("training"))
         replay = Replay(Collector(world, settings.episodes))
         sizes = world.env.observation_size, world.env.action_size, replay.num_tasks

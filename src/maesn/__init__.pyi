@@ -78,7 +78,6 @@ from maesn.learners.meta_batch import draw_tasks as draw_tasks
 from maesn.learners.meta_batch import task_keys as task_keys
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.numerics import MinibatchDescent as MinibatchDescent
-from maesn.numerics.processes import Sharing as Sharing
 from maesn.numerics.trust_region import TrustRegion as TrustRegion
 from maesn.policies import AbstractPolicy as AbstractPolicy
 from maesn.policies import AbstractPolicySettings as AbstractPolicySettings

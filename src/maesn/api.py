@@ -16,7 +16,7 @@ from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_belief, record_exploration, record_explorer
 from maesn.evaluation.exporting import export_run
 from maesn.learners import AbstractMetaLearner
-from maesn.numerics.processes import ALONE, Sharing, is_lead, wait_for_all
+from maesn.numerics.devices import request_devices, sharing
 from maesn.reporting.page import page_of, write_page
 from maesn.reporting.reading import usual_table
 from maesn.reporting.report import Reported, write_report
@@ -25,7 +25,7 @@ from maesn.reporting.sources import Compared, compare_runs, compare_study, studi
 from maesn.runs.config import RunSettings
 from maesn.runs.export import Stated
 from maesn.runs.run import Run
-from maesn.runs.training import KEEP, change_run, train_live
+from maesn.runs.training import KEEP, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import played_live, run_prior
@@ -40,7 +40,7 @@ def train(
     init_from: str | Path | None = None,
     family: TaskFamily | None = None,
     keep: int = KEEP,
-    sharing: Sharing = ALONE,
+    devices: int | None = None,
 ) -> Run:
     """Meta-train in a new run directory, with a live display.
 
@@ -52,19 +52,18 @@ def train(
             and step sizes to start from.
         family: a family of your own; None for the one that `settings.family` names.
         keep: the latest checkpoints that stay, beside the first; 0 for all.
-        sharing: several devices or processes that train this run together.
+        devices: devices that share the tasks of a meta-batch; on a CPU, devices are threads. None:
+            one; but for a method whose inner update moves the policy's weights, the largest number
+            up to that of the cores which divides the tasks.
 
     Raises:
         RunError: a setting or the directory cannot be used.
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
-    with sharing.begun():
-        if is_lead():
-            Run.create(directory, learner, settings, family=family, init_from=init_from)
-        wait_for_all("the run is there")
-        run = Run.open(directory, family or settings.own_family, settings.own_method)
-        with sharing.of_tasks(run.learner.tasks_for_cores):
-            train_live(run, keep=keep)
+    request_devices(devices)
+    with sharing(devices, learner.tasks_for_cores):
+        run = Run.create(directory, learner, settings, family=family, init_from=init_from)
+        train_live(run, keep=keep)
     return run
 
 
@@ -73,9 +72,8 @@ def resume(
     iterations: int | None = None,
     family: arguments.AnyFamily = None,
     method: arguments.AnyMethod = None,
-    change: arguments.AnyChange = None,
     keep: int = KEEP,
-    sharing: Annotated[Sharing, arg(name="")] = ALONE,
+    devices: int | None = None,
 ) -> Run:
     """Go on with a run from its latest checkpoint, bit for bit as if it had never stopped.
 
@@ -86,23 +84,17 @@ def resume(
         iterations: Total number of meta-iterations; None: what the run was started with.
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
-        change: Settings that are to differ from here on, as in `num_threads=2 reward=sparse
-            outer.trust_region.damping=0.1`; a mapping in Python. `config.json` keeps a record.
         keep: Number of latest checkpoints to keep, beside the first. 0: keep all.
-        sharing: several devices or processes that go on with it together.
+        devices: Number of devices that share the tasks of a meta-batch, as for `maesn train`.
 
     Raises:
-        RunError: there is no such run, or it cannot be changed so.
+        RunError: there is no such run, or a setting cannot be used.
         EpisodeError: as for `train`.
     """
-    with sharing.begun():
-        run = running.open_run(run, family, method)
-        if change and is_lead():
-            change_run(run, change)
-        wait_for_all("the run is changed")
-        run = Run.open(run)
-        with sharing.of_tasks(run.learner.tasks_for_cores):
-            train_live(run, iterations, keep)
+    request_devices(devices)
+    run = running.open_run(run, family, method)
+    with sharing(devices, run.learner.tasks_for_cores):
+        train_live(run, iterations, keep)
     return run
 
 

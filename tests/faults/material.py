@@ -16,7 +16,6 @@ from maesn.evaluation.running import Adapted
 from maesn.reporting.reading import RECORD
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
-from maesn.runs.training import change_run
 from maesn.runtime import Explorer, Safeguards
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search import stored
@@ -80,11 +79,6 @@ class Material:
         """What eight become."""
         run = self.copy(self.directory / "longer")
         return outcome(finish(run, MORE))
-
-    @cached_property
-    def changed(self) -> Outcome:
-        """What eight become if the seed is another one for the last two."""
-        return outcome(finish(change_run(self.copy(self.directory / "changed"), {"seed": 5}), MORE))
 
     @cached_property
     def latent(self) -> Run:

@@ -15,7 +15,6 @@ from small_runs import finish, outcome
 from maesn import api
 from maesn.runs.config import CONFIG
 from maesn.runs.run import Run
-from maesn.runs.training import change_run
 from maesn.runtime import Explorer
 from maesn.search import stored
 from maesn.search.stored import read_prior
@@ -77,18 +76,6 @@ def _after_resume(material: Material, directory: Path) -> str:
     if run.latest().iteration < 6:
         return "checkpoints of the session before"
     return _differs(run, MORE, material.longer)
-
-
-def _change(_: Material, directory: Path) -> None:
-    change_run(Run.open(directory / "run"), {"seed": 5})
-
-
-def _after_change(material: Material, directory: Path) -> str:
-    run = Run.open(directory / "run")
-    if run.settings.seed not in (0, 5):
-        return f"the seed is {run.settings.seed}"
-    run = run if run.settings.seed == 5 else change_run(run, {"seed": 5})
-    return _differs(run, MORE, material.changed)
 
 
 def _copy_latent(material: Material, directory: Path) -> None:
@@ -158,7 +145,6 @@ SCENARIOS = {
     "create": Scenario(lambda *_: None, _create, _after_create),
     "train": Scenario(_begin, _train, _after_train),
     "resume": Scenario(_copy, _resume, _after_resume),
-    "change": Scenario(_copy, _change, _after_change),
     "adapt": Scenario(_copy_latent, _adapt, _after_adapt),
     "prior": Scenario(_copy_latent, _prior, _after_prior),
     "export": Scenario(_prepare_export, _export, _after_export),

@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from maesn.numerics import mesh, processes, standardize
+from maesn.numerics import devices, mesh, standardize
 from maesn.numerics.normalization import ObservationStatistics, no_observations
-from maesn.numerics.processes import Sharing
 
 TASKS = 8
 
@@ -63,14 +62,15 @@ def main() -> None:
             (wanted, whole),
         )
         assert {x.device for x in jax.tree.leaves(cut)} == {jax.devices()[0]}
-    processes.num_cores = lambda: 3
-    for tasks, sharing, expected in (
-        (20, Sharing(), 2),
-        (9, Sharing(), 3),
-        (1, Sharing(), 1),
-        (20, Sharing(devices=1), 1),
+    devices.num_cores = lambda: 3
+    for tasks, asked, expected in (
+        (20, None, 2),
+        (9, None, 3),
+        (1, None, 1),
+        (20, 1, 1),
+        (20, 4, 4),
     ):
-        with sharing.of_tasks(tasks):
+        with devices.sharing(asked, tasks):
             assert mesh.num_devices() == expected
     with mesh.sharing_tasks(jax.devices()[:3]):
         try:

@@ -11,7 +11,6 @@ from maesn import api
 from maesn.commands.options import command
 from maesn.evaluation import film
 from maesn.evaluation.running import Adapted
-from maesn.numerics.processes import is_lead
 from maesn.reporting.report import Reported
 from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
 from maesn.runs.export import exported_facts
@@ -23,8 +22,7 @@ from maesn.studies.study import FailedJobsError, Results, Study
 
 def say_what_is_next(run: Run) -> None:
     """Print where a trained run is, and the command that adapts it."""
-    if is_lead():
-        print(f"trained: {run.directory}\nnext:    maesn adapt {run.typed}")
+    print(f"trained: {run.directory}\nnext:    maesn adapt {run.typed}")
 
 
 def _say_adapted(done: Adapted) -> None:

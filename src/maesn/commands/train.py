@@ -12,7 +12,6 @@ from maesn.commands.runs import say_what_is_next
 from maesn.envs import is_own
 from maesn.envs.sources import resolve_family
 from maesn.learners import AbstractMetaLearner
-from maesn.numerics.processes import ALONE, Sharing
 from maesn.runs.config import RunSettings, make_env
 from maesn.runs.process import enable_compilation_cache
 from maesn.runs.sources import own_method
@@ -35,7 +34,10 @@ class Options:
     init_from: Path | None = None
     """Run whose policy and step sizes training starts from: its directory, or the name of a policy
     that comes with the library."""
-    sharing: Annotated[Sharing, tyro.conf.arg(name="")] = ALONE
+    devices: int | None = None
+    """Number of devices that share the tasks of a meta-batch. On a CPU, devices are threads. None:
+    one; but for a method whose inner update moves the policy's weights, the largest number up to
+    that of the cores which divides the tasks."""
     keep: int = KEEP
     """Number of latest checkpoints to keep, beside the first. 0: keep all."""
 
@@ -74,7 +76,7 @@ def train(arguments: list[str]) -> None:
     learner = options.learner.for_actions(env.action_kind)
     if ":" in method:
         settings = dataclasses.replace(settings, method=method)
-    given = {name: getattr(options, name) for name in ("init_from", "keep", "sharing")}
+    given = {name: getattr(options, name) for name in ("init_from", "keep", "devices")}
     say_what_is_next(api.train(learner, settings, directory, **given))
 
 

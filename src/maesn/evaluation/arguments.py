@@ -3,7 +3,7 @@
 Rules are text there, such as `gradient step_scale=2`, or a class of your own.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -13,7 +13,6 @@ from tyro.constructors import PrimitiveConstructorSpec
 from maesn.envs import TaskFamily
 from maesn.rules import AbstractRule, AbstractWrapper, from_text
 from maesn.runs.run import Run
-from maesn.runs.serialization import values_of_words
 from maesn.runtime.safeguards import Limit
 
 
@@ -54,10 +53,6 @@ AnyMethod: TypeAlias = Annotated[str | None, _read(1, "MODULE:NAME")]
 """`module:name` of a user's own method; None for one that comes with the library."""
 AnyRule: TypeAlias = Annotated[AbstractRule | None, _named("rule")]
 """A rule, or on the command line its name and its settings."""
-AnyChange: TypeAlias = Annotated[
-    Mapping[str, Any] | None, _read("*", "NAME=VALUE", values_of_words)
-]
-"""Name of a setting -> its new value."""
 AnyLimit: TypeAlias = Annotated[Limit | None, _read("*", "NUMBER", _limit)]
 """Limit of all actuators, or of each."""
 Flag: TypeAlias = Annotated[bool, _read(0, "", lambda _: True, lambda _: [])]

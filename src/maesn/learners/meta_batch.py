@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from maesn.axes import Key, TaskKeys
-from maesn.numerics.mesh import own_slots
 
 
 def check_enough_tasks(num_tasks: int, wanted: int, setting: str = "meta_batch_size") -> None:
@@ -29,20 +28,12 @@ def check_enough_tasks(num_tasks: int, wanted: int, setting: str = "meta_batch_s
 
 
 def draw_tasks(key: Key, num_tasks: int, meta_batch_size: int) -> Int[Array, " task"]:
-    """Draw the training tasks of one meta-iteration, all of them different.
-
-    Returns:
-        Those of the task slots that this process plays: all, unless processes share them.
-    """
-    return own_slots(jax.random.choice(key, num_tasks, (meta_batch_size,), replace=False))
+    """Draw the training tasks of one meta-iteration, all of them different."""
+    return jax.random.choice(key, num_tasks, (meta_batch_size,), replace=False)
 
 
+@partial(jax.jit, static_argnames=("phase", "meta_batch_size"))
 def task_keys(key: Key, phase: int, meta_batch_size: int) -> TaskKeys:
-    """Return one key per task slot of this process, for one collection of a meta-iteration."""
-    return own_slots(_all_keys(key, phase, meta_batch_size))
-
-
-@partial(jax.jit, static_argnames=("phase", "num_slots"))
-def _all_keys(key: Key, phase: int, num_slots: int) -> TaskKeys:
+    """Return one key per task slot, for one collection of a meta-iteration."""
     phase_key = jax.random.fold_in(key, phase)
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(phase_key, jnp.arange(num_slots))
+    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(phase_key, jnp.arange(meta_batch_size))

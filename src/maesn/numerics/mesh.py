@@ -1,4 +1,4 @@
-"""Share the tasks of a meta-batch among the devices of one or several processes.
+"""Share the tasks of a meta-batch among several devices.
 
 Task slots are cut into blocks, one per device. Arrays with a row per task are sharded by these
 blocks; parameters are replicated. `total`, `mean` and `gather` are the only communication. They
@@ -18,7 +18,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.multihost_utils import global_array_to_host_local_array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int
 
@@ -38,13 +37,8 @@ _mesh: ContextVar[Mesh | None] = ContextVar("mesh", default=None)
 
 @contextlib.contextmanager
 def sharing_tasks(devices: Sequence[jax.Device]) -> Iterator[None]:
-    """Let these devices share the tasks of every meta-batch, until the block ends.
-
-    Args:
-        devices: the devices of all processes, equally many of each.
-    """
-    ordered = sorted(devices, key=lambda device: (device.process_index, device.id))
-    token = _mesh.set(Mesh(np.array(ordered), (AXIS,)) if len(ordered) > 1 else None)
+    """Let these devices share the tasks of every meta-batch, until the block ends."""
+    token = _mesh.set(Mesh(np.array(devices), (AXIS,)) if len(devices) > 1 else None)
     try:
         yield
     finally:
@@ -68,7 +62,7 @@ def check_split(meta_batch_size: int) -> None:
 
 
 def num_devices() -> int:
-    """Return the number of devices that share the tasks, over all processes."""
+    """Return the number of devices that share the tasks."""
     mesh = _mesh.get()
     return 1 if mesh is None else mesh.size
 
@@ -82,21 +76,6 @@ def refuse_sharing(method: str) -> None:
         )
 
 
-def own_slots(rows: Tree) -> Tree:
-    """Select the rows of the task slots that this process plays from the rows of all slots."""
-    mesh = _mesh.get()
-    if mesh is None or not mesh.is_multi_process:
-        return rows
-    first = mesh.local_devices[0]
-    position = mesh.devices.tolist().index(first)
-
-    def cut(x: Array) -> Array:
-        share = x.shape[0] // mesh.size
-        return x[position * share : (position + len(mesh.local_devices)) * share]
-
-    return jax.tree.map(cut, rows)
-
-
 def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
     """Compile a function and call it on all devices that share the tasks.
 
@@ -104,23 +83,21 @@ def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
         function: maps (shared, rows) to another such pair. Its first result must be the same on all
             devices. Give a function of a file or a method of an `eqx.Module`: a lambda would be
             compiled again at every call.
-        shared: a pytree that all tasks share, with the same values in all processes.
-        rows: a pytree with a row for each task slot of this process.
+        shared: a pytree that all tasks share.
+        rows: a pytree with a row for each task slot.
 
     Returns:
-        The pair that the function returns, with the rows of this process's task slots.
+        The pair that the function returns.
     """
     mesh = _mesh.get()
     if mesh is None:
         outcome: tuple[Any, Any] = _call(function, shared, rows)
         return outcome
     placed = _placed(mesh, shared, _REPLICATED), _placed(mesh, rows, _SHARDED)
-    new_shared, new_rows = _call_sharded(mesh, function, *placed)
-    specs = (_REPLICATED, _SHARDED)
-    own = global_array_to_host_local_array((new_shared, new_rows), mesh, specs)
+    outcome = _call_sharded(mesh, function, *placed)
     # By way of NumPy: an array committed to a device would make JAX compile again the programs that
     # it has compiled for uncommitted arrays.
-    found: tuple[Any, Any] = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), own)
+    found: tuple[Any, Any] = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), outcome)
     return found
 
 
@@ -165,21 +142,9 @@ def _call_sharded(mesh: Mesh, function: Function, shared: Any, rows: Any) -> tup
 
 
 def _placed(mesh: Mesh, tree: Any, spec: PartitionSpec) -> Any:
-    """Return this process's arrays as arrays of the mesh, replicated or sharded."""
-    sharding, devices = NamedSharding(mesh, spec), mesh.local_devices
-
-    def place(x: Any) -> Any:
-        if not eqx.is_array(x):
-            return x
-        if spec == _SHARDED:
-            pieces = jnp.split(x, len(devices))
-            shape = (len(pieces[0]) * mesh.size, *x.shape[1:])
-        else:
-            pieces, shape = [x] * len(devices), x.shape
-        pieces = [jax.device_put(piece, one) for piece, one in zip(pieces, devices, strict=True)]
-        return jax.make_array_from_single_device_arrays(shape, sharding, pieces)
-
-    return jax.tree.map(place, tree)
+    """Return a tree with its arrays on the mesh, replicated or sharded."""
+    sharding = NamedSharding(mesh, spec)
+    return jax.tree.map(lambda x: jax.device_put(x, sharding) if eqx.is_array(x) else x, tree)
 
 
 def _is_inside() -> bool:

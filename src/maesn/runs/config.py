@@ -1,7 +1,6 @@
 """`config.json`: everything that is needed to rebuild a run, as numbers and names.
 
-The file and every checkpoint hold a digest of all that it says, so a change by hand is noticed;
-`maesn.runs.training.change_run` makes one on purpose.
+The file and every checkpoint hold a digest of all that it says, so a change by hand is noticed.
 """
 
 import contextlib
@@ -60,8 +59,8 @@ SCHEMA = 3
 CONFIG = "config.json"
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
-# Older runs wrote `settings.engine`. It stays in the document, so that digests and the names of
-# jobs stay the same.
+# Older runs wrote `settings.engine` and `changes`. They stay in the document, so that digests and
+# the names of jobs stay the same.
 _ENGINE = "native"
 
 
@@ -112,15 +111,6 @@ class RunSettings:
 
 
 @dataclasses.dataclass(frozen=True)
-class Change:
-    """A deliberate change of a run that had begun."""
-
-    iteration: int  # iterations that were done before it
-    changed: dict[str, Any]  # name of a setting -> its new value
-    digest: str  # digest of the configuration before it, which earlier checkpoints state
-
-
-@dataclasses.dataclass(frozen=True)
 class RunConfig:
     """The content of `config.json`."""
 
@@ -131,14 +121,13 @@ class RunConfig:
     task_digest: str  # digest of the training tasks
     engine: str  # what moves the world
     versions: dict[str, str]  # versions of Python and of the packages that took part
-    changes: tuple[Change, ...] = ()  # since the run began, the earliest first
     # `init_from`: learner and weights that the run began with. `command` and `commit`: how a policy
     # that comes with the library was trained.
     provenance: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Return all of it but its digest, as JSON values."""
-        document = {"schema": SCHEMA, **fields_to_json(self)}
+        document = {"schema": SCHEMA, "changes": [], **fields_to_json(self)}
         document["settings"]["engine"] = _ENGINE
         return document
 
@@ -200,12 +189,16 @@ def read_config(directory: Path) -> RunConfig:
     document = read_json(path, "name a directory that `maesn train` has made")
     if document.pop("digest", None) != digest_of_document(document):
         raise RunError(
-            f"`{path}` was changed since maesn wrote it: restore it. To change a setting on "
-            f"purpose, use `maesn resume {directory} --change NAME=VALUE`."
+            f"`{path}` was changed since maesn wrote it: restore it. For other settings start a "
+            "new run (`maesn train --init-from`)."
         )
     with refusals(f"`{path}` cannot be understood, it may be of another version of maesn: "):
         if document.pop("schema", None) != SCHEMA:
             raise ValueError(f"its schema must be {SCHEMA}.")
+        if document.pop("changes", []):
+            raise RunError(
+                f"the settings of `{directory}` were changed while it trained: train anew."
+            )
         settings = document.get("settings")
         if isinstance(settings, dict) and settings.pop("engine", _ENGINE) != _ENGINE:
             raise RunError(

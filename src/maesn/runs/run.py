@@ -231,11 +231,10 @@ class Run:
     def load(self, path: str | Path) -> Checkpoint:
         """Read one checkpoint of this run; `RunError` if it belongs to another one."""
         values, metadata = checkpoint.read_checkpoint(Path(path))
-        earlier = [change.digest for change in self.config.changes]
-        if metadata.get("config") not in (self.config.digest(), *earlier):
+        if metadata.get("config") != self.config.digest():
             raise RunError(
                 f"`{path}` was written with another `config.json` than this run's: restore that "
-                "file. (To change settings: `maesn resume RUN --change NAME=VALUE`.)"
+                "file."
             )
         structure = self.structure()
         if names := checkpoint.names_of(self.learner.replay(structure), structure):

@@ -1,4 +1,4 @@
-"""The training loop, which saves its state however it is stopped, and changes of its settings."""
+"""The training loop, which saves its state however it is stopped."""
 
 import contextlib
 import dataclasses
@@ -7,26 +7,22 @@ import functools
 import logging
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from maesn.envs import describe_env
 from maesn.experience.episodes import Episodes
 from maesn.numerics.mesh import num_devices
-from maesn.numerics.processes import check_agreement, is_lead, together, total_of_processes
 from maesn.runs.checkpoint import Checkpoint, named_leaves
-from maesn.runs.config import Change, RunSettings, installed_versions, read_config, write_config
+from maesn.runs.config import installed_versions, read_config
 from maesn.runs.log import Progress, RunLog
 from maesn.runs.process import ending_by_signals
 from maesn.runs.run import CHECKPOINTS, Run
-from maesn.runs.serialization import TAG, replaced
 from maesn.runtime.archive import PARTIAL
 from maesn.settings import check_number
 from maesn.storage import RunError, locked, refusals
@@ -39,10 +35,6 @@ MAX_NONFINITE = 5
 
 # Number of checkpoints that stay. The last one alone could be damaged.
 KEEP = 3
-
-# Settings that cannot change between two sessions, because what was learned depends on them.
-_FIXED = ("method", "family", "variant", "tasks")
-CHANGEABLE = tuple(name for name in RunSettings.__dataclass_fields__ if name not in _FIXED)
 
 
 def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generator[Progress]:
@@ -65,18 +57,14 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         check_number("keep", keep, 0)
         run.learner.check_batch(run.settings.episodes_per_task)
     with contextlib.ExitStack() as stack:
-        if is_lead():
-            stack.enter_context(locked(run.directory))
-            for folder in (run.directory, run.directory / CHECKPOINTS):
-                for partial in folder.glob(f"*{PARTIAL}"):  # left by processes that were killed
-                    partial.unlink(missing_ok=True)
+        stack.enter_context(locked(run.directory))
+        for folder in (run.directory, run.directory / CHECKPOINTS):
+            for partial in folder.glob(f"*{PARTIAL}"):  # left by processes that were killed
+                partial.unlink(missing_ok=True)
         if read_config(run.directory).digest() != run.config.digest():
             raise RunError(f"`{run.directory}` was changed since it was opened: open it again.")
         start = run.latest()
-        # Before anything is written: all have read the same by then.
-        check_agreement(start.iteration, "the iteration that they begin with")
-        check_agreement(int(run.config.digest()[:8], 16), "the settings")
-        log = RunLog.begin(run.directory, start.iteration) if is_lead() else None
+        log = RunLog.begin(run.directory, start.iteration)
         begun = run.config.versions
         if start.iteration and begun != installed_versions(run.config.engine):
             logger.warning("`%s` was begun with other versions: %s.", run.directory, begun)
@@ -95,7 +83,7 @@ class _Training:
     """A run between two iterations."""
 
     run: Run
-    log: RunLog | None  # None in a process that leaves writing to another one
+    log: RunLog
     keep: int
     checkpoint: Checkpoint
     saved: int  # iteration of the latest checkpoint on disk
@@ -110,10 +98,8 @@ class _Training:
         before, run, self.steps = self.checkpoint, self.run, 0
         key = run.iteration_key(before.iteration)
         start = time.perf_counter()
-        with together():
-            state, info = run.learner.step(key, before.state, collect)
-            jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
-            self.steps = total_of_processes(self.steps)
+        state, info = run.learner.step(key, before.state, collect)
+        jax.block_until_ready((state, info))  # type: ignore[no-untyped-call]
         seconds = time.perf_counter() - start
         after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
@@ -125,8 +111,7 @@ class _Training:
             devices=num_devices(),
             info={name: float(value) for name, value in named_leaves(metrics).items()},
         )
-        if self.log is not None:
-            self.log.write(progress)
+        self.log.write(progress)
         # One assignment, so that Ctrl-C finds either all of this iteration or nothing.
         self.checkpoint = after
         self._watch(progress)
@@ -136,7 +121,7 @@ class _Training:
 
     def save(self) -> None:
         """Write a checkpoint unless it is there already, and delete those that are not kept."""
-        if self.log is None or self.saved == self.checkpoint.iteration:
+        if self.saved == self.checkpoint.iteration:
             return
         path = self.run.save_state(self.checkpoint.state, self.checkpoint.environment_steps)
         self.saved = self.checkpoint.iteration
@@ -167,7 +152,7 @@ def train_live(
 
     Returns the last iteration, None if nothing was left to do. All else is as for `train`.
     """
-    console = console or Console(quiet=not is_lead())
+    console = console or Console()
     # As it is: no markup, no colours, no line breaks of its own.
     say = functools.partial(console.print, markup=False, highlight=False, soft_wrap=True)
     total = run.settings.iterations if iterations is None else iterations
@@ -218,48 +203,3 @@ def _live_line(console: Console) -> Iterator[Callable[[str], None]]:
     finally:
         with contextlib.suppress(OSError):  # the terminal may be gone
             live.stop()
-
-
-def change_run(run: Run, changes: Mapping[str, Any]) -> Run:
-    """Change settings of a run from its latest checkpoint on, write that down, and return the run.
-
-    Names are those in `CHANGEABLE`, and those of the learner's settings, such as
-    `outer.trust_region.damping`. Where a name or a value cannot be used nothing is written.
-    """
-    own = {name: value for name, value in changes.items() if name in CHANGEABLE}
-    for name in changes:
-        if name.split(".")[-1] == TAG:
-            raise _cannot_change(name)
-    with refusals("the change cannot be made: "):
-        settings = replaced(run.settings, own)
-        try:
-            learner = replaced(run.learner, {n: v for n, v in changes.items() if n not in own})
-        except KeyError as error:
-            raise _cannot_change(error.args[0]) from error
-        learner.check_batch(settings.episodes_per_task)
-        if settings.sparse_radius is None and "sparse_radius" in changes:
-            raise ValueError("`sparse_radius` must be a number of metres, got None.")
-        env = run.env(settings.reward, settings.sparse_radius)
-    with locked(run.directory):
-        change = Change(run.latest().iteration, dict(changes), run.config.digest())
-        config = dataclasses.replace(
-            run.config,
-            settings=settings,
-            learner=learner,
-            world=describe_env(env),
-            changes=(*run.config.changes, change),
-        )
-        changed = dataclasses.replace(run, config=config)
-        if not eqx.tree_equal(changed.structure(), run.structure()):
-            raise _cannot_change(", ".join(changes))
-        write_config(run.directory, config)
-    return changed
-
-
-def _cannot_change(name: str) -> RunError:
-    return RunError(
-        f"`{name}` cannot change in a run that has begun. What can: {', '.join(CHANGEABLE)}, and "
-        "those settings of the learner that leave its arrays as they are, such as "
-        "`outer.trust_region.damping`. For anything else start a new run (`maesn train "
-        "--init-from`)."
-    )
