@@ -1,11 +1,9 @@
 """The prior over returns of a run, made once and kept beside its checkpoints."""
 
-import dataclasses
 import json
 import logging
-import math
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +15,11 @@ from rich.progress import Progress as ProgressBar
 from maesn.envs import AnyEnv, RewardKind, TaskSet, describe_env
 from maesn.learners import AbstractSettableLatent
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
-from maesn.runs.log import TIMING
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.return_model import PRIOR_ARRAYS, PRIOR_NUMBERS, ReturnPrior
-from maesn.search.calibration import EPISODES, calibrated
+from maesn.search.calibration import calibrated
 from maesn.search.learner import latent_of
 from maesn.search.prior import (
     USUAL,
@@ -32,23 +29,15 @@ from maesn.search.prior import (
     drawn_latents,
     make_prior,
 )
-from maesn.storage import RunError, read_json_lines, refusals
+from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
 
 PRIORS = "priors"
-# What a prior is bound to, as its file names it -> how a refusal begins.
-_ANOTHER = {
-    "checkpoint": "other weights than those of the latest checkpoint of",
-    "training task set": "another training task set than that of",
-    "reward": "another reward than that of the new tasks of",
-    "action noise": "another choice of `--action-noise` than this adaptation of",
-}
 _SEARCHES = np.uint32(2**32 - 3)  # folded into the key of the searches that calibrate
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
-_STEPS_PER_SECOND = 50_000.0  # a guess, where the run has not written down its own speed
 
 
 def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
@@ -159,7 +148,12 @@ def find_prior(
     path = Path(name) if name else prior_file(run, world, action_noise)
     if not name and not path.exists():
         env, settings = world.env, PriorSettings(action_noise=action_noise)
-        logger.warning("`%s` is missing. %s", path, _effort(run, env, settings))
+        logger.warning(
+            "`%s` is missing. It is made now, once. For a rougher one, in a fraction of the time, "
+            "stop this, and type: %s --draws 100 --episodes 1 --adapted False --searches 0",
+            path,
+            _command(run, env, action_noise),
+        )
         with played_live() as progress:
             radius = env.sparse_radius or None
             _, prior = run_prior(
@@ -171,24 +165,11 @@ def find_prior(
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             allow = ", or allow it by `any_reward=true`" if what == "reward" else ""
             raise RunError(
-                f"`{path}` was made for {_ANOTHER[what]} `{run.directory}`: make it again by "
+                f"`{path}` was made for another {what} than that of `{run.directory}` and its "
+                "new tasks: make it again by "
                 f"`{_command(run, world.env, action_noise)}`{allow}."
             )
     return prior
-
-
-def _effort(run: Run, env: AnyEnv, settings: PriorSettings) -> str:
-    """Say how long it takes to make the prior of a run, and which command makes a cheaper one."""
-    cheaper = dataclasses.replace(settings, draws=100, episodes=1, adapted=False, searches=0)
-    command = _command(run, env, settings.action_noise)
-    steps, fewer = (_steps(run, env, one) for one in (settings, cheaper))
-    speed = _speed(run)
-    return (
-        f"It is made now, once: {steps:,} environment steps, about {math.ceil(steps / speed / 60)} "
-        f"min at {speed:,.0f} steps per second. A rougher one takes {100 * fewer / steps:.0f} % "
-        f"of them: stop this, and type: {command} --draws 100 --episodes 1 --adapted False "
-        "--searches 0"
-    )
 
 
 def _command(run: Run, env: AnyEnv, action_noise: bool) -> str:
@@ -200,20 +181,6 @@ def _command(run: Run, env: AnyEnv, action_noise: bool) -> str:
     if env.sparse_radius != run.env().sparse_radius:
         command += f" --sparse-radius {env.sparse_radius:g}"
     return command
-
-
-def _steps(run: Run, env: AnyEnv, settings: PriorSettings) -> int:
-    """Return the environment steps of a prior, with those that adapt to the training tasks."""
-    adapting = settings.adapted * _EPISODES_TO_ADAPT * len(run.training_tasks) * env.horizon
-    searching = 0 if settings.action_noise else settings.searches * EPISODES * env.horizon
-    return settings.steps(env, run.training_tasks) + adapting + searching
-
-
-def _speed(run: Run) -> float:
-    """Return the steps per second of the run's last iteration, or a guess."""
-    with suppress(RunError, LookupError, TypeError):  # missing or damaged: it is but an estimate
-        return float(read_json_lines(run.directory / TIMING)[-1]["steps_per_second"])
-    return _STEPS_PER_SECOND
 
 
 @contextmanager
