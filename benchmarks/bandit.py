@@ -22,17 +22,13 @@ import numpy as np
 from bernoulli_bandit import Bandit, bandit
 from safetensors.numpy import load_file, save_file
 
+from maesn import ProximalStep, RecurrentMetaLearner, RecurrentValue
 from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.episodes import Collect
-from maesn.learners import (
-    Problem,
-    ProximalStep,
-    RecurrentFastLearner,
-    RecurrentMetaLearner,
-    RecurrentValue,
-)
+from maesn.learners import Problem
+from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent, RecurrentPolicy
 from maesn.runs.checkpoint import named_leaves, restore

@@ -23,7 +23,7 @@ from random_bonus import curiosities
 from maesn.envs import find_family
 from maesn.evaluation.evaluate import adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import vime
+from maesn.learners.scratch.policy_gradient import vime
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world

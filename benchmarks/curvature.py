@@ -26,10 +26,11 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Float
 
+from maesn import GradientMetaLearner
 from maesn.axes import Key
 from maesn.envs import find_family
 from maesn.experience.episodes import Thinning
-from maesn.learners import PRESETS, GradientMetaLearner, Problem
+from maesn.learners import PRESETS, Problem
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters, start_agents

@@ -34,11 +34,12 @@ import numpy as np
 import tyro
 from gymnasium import spaces
 
+from maesn import maesn
 from maesn.envs.hosted import AbstractGymnasiumEnv, task_row
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
 from maesn.foreign import Readings, WorkerPool, pack_task
-from maesn.learners import Problem, maesn
+from maesn.learners import Problem
 from maesn.worlds import AbstractWorld, Act, Actors, Trajectory, make_world
 from maesn.worlds.budget import num_cpus
 from maesn.worlds.collector import Collector

@@ -29,6 +29,7 @@ from meta_iteration import Settings as IterationSettings
 from meta_iteration import Times, peak_memory
 from meta_iteration import measure as measure_iterations
 
+from maesn import rl2
 from maesn.envs import AbstractMujocoEnv
 from maesn.envs.sources import resolve_family
 from maesn.learners import (
@@ -38,7 +39,6 @@ from maesn.learners import (
     AbstractMetaLearner,
     recommended,
     recommended_run,
-    rl2,
 )
 from maesn.policies import HyperRecurrent
 from maesn.worlds import make_world

@@ -29,10 +29,11 @@ import numpy as np
 import tyro
 from outer_step_theirs import CG_STEPS
 
+from maesn import GradientMetaLearner
 from maesn.envs import find_family
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientMetaLearner, Problem
+from maesn.learners import Problem
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.presets import maml
 from maesn.numerics.devices import request_devices, sharing

@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from maesn.context import Latent, LatentContext
-from maesn.learners import GradientFastLearner
+from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.numerics import DiagonalGaussian
 from maesn.runs.run import Run
 from maesn.studies.members import RUN

@@ -10,16 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from maesn import GradientMetaLearner, maesn
 from maesn.axes import Key
 from maesn.experience.episodes import Collect
-from maesn.learners import (
-    AbstractFastLearner,
-    AbstractMetaLearner,
-    GradientMetaLearner,
-    Problem,
-    baselines,
-    maesn,
-)
+from maesn.learners import AbstractFastLearner, AbstractMetaLearner, Problem, baselines
 from maesn.policies import GaussianMLP
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.config import RunSettings

@@ -11,9 +11,9 @@ import pytest
 
 import maesn
 from maesn import api, cli
+from maesn import maesn as maesn_preset
 from maesn.evaluation import exploration
 from maesn.evaluation.running import adaptation_file
-from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
 from maesn.reporting.reading import LATENTS
 from maesn.runs.config import RunSettings

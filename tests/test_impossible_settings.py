@@ -6,15 +6,10 @@ from typing import Any
 
 import pytest
 
-from maesn.context import BiasContext, LatentContext
-from maesn.inner.adaptation import InnerStep, StepSchedule
-from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners import (
+from maesn import (
     BeliefDecoderSettings,
     BeliefEncoderSettings,
     BeliefInference,
-    CuriosityBonus,
-    GradientStep,
     HyperBonus,
     ProximalOuterStep,
     ProximalStep,
@@ -26,6 +21,10 @@ from maesn.learners import (
     rl2,
     varibad,
 )
+from maesn.context import BiasContext, LatentContext
+from maesn.inner.adaptation import InnerStep, StepSchedule
+from maesn.inner.advantage import AdvantageEstimator
+from maesn.learners import CuriosityBonus, GradientStep
 from maesn.learners.pearl.encoder import EncoderSettings
 from maesn.learners.pearl.sac import SoftActorCritic
 from maesn.numerics import MinibatchDescent

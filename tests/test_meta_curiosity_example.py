@@ -13,9 +13,10 @@ from playing import keys
 from small_runs import tiny_maesn
 
 import maesn
-from maesn import cli
+from maesn import cli, oracle
 from maesn.envs import point
-from maesn.learners import GradientFastLearner, Problem, oracle
+from maesn.learners import Problem
+from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

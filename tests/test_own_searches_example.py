@@ -12,8 +12,7 @@ from scripts import ROOT
 from small_runs import tiny_maesn, tiny_settings
 
 import maesn
-from maesn import api, cli
-from maesn.learners import maml
+from maesn import api, cli, maml
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.storage import RunError

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from learning_problems.probes import HiddenEnd, hidden_end
 
+from maesn import maesn
 from maesn.axes import Readings
 from maesn.envs import Wheeled, point, wheeled
 from maesn.evaluation.evaluate import adapt, as_rows, measure
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import explore
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientFastLearner, Problem, maesn, reinforce
+from maesn.learners import Problem
+from maesn.learners.gradient.fast_learner import GradientFastLearner
+from maesn.learners.scratch.policy_gradient import reinforce
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLP
 from maesn.worlds import EpisodeError, budget, make_world

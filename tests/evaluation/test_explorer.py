@@ -11,8 +11,8 @@ import pytest
 import scipy.special
 from small_runs import create, tiny_maesn
 
+from maesn import maml, varibad
 from maesn.evaluation import exploration
-from maesn.learners import maml, varibad
 from maesn.learners.varibad.decoder import BeliefDecoderSettings
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.reporting.runs import (

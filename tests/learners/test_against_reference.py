@@ -24,8 +24,8 @@ from reference.parameters import Array, Parameters, flatten, unflatten
 from reference.trust_region import TrustRegionSettings, curvature, loss_gradient, outer_step
 
 from maesn.experience.agent import Agents
-from maesn.learners import GradientState
 from maesn.learners.gradient.curvature import step_weights
+from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.objective import MetaObjective, MetaParameters
 from maesn.numerics.trust_region import Candidate, TrustRegion
 

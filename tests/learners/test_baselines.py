@@ -7,9 +7,10 @@ from bernoulli_bandit import bandit
 from learning_problems.probes import hidden_target
 from playing import keys
 
+from maesn import FixedPolicy
 from maesn.envs import AnyEnv, point
 from maesn.evaluation.evaluate import adapt
-from maesn.learners import FixedPolicy, baselines
+from maesn.learners import baselines
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

@@ -12,14 +12,8 @@ from playing import keys
 
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import (
-    IMPROVEMENTS,
-    SCRATCH,
-    AbstractFastLearner,
-    BonusFastLearner,
-    FineTuning,
-    Purpose,
-)
+from maesn.learners import SCRATCH, AbstractFastLearner, BonusFastLearner, FineTuning, Purpose
+from maesn.learners.scratch.policy_gradient import IMPROVEMENTS
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 
 SMALL = CuriosityBonus(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)

@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from playing import keys
 
+from maesn import PolicyGradient, maesn, rl2
 from maesn.envs import point
 from maesn.experience.episodes import concatenate
-from maesn.learners import (
-    IMPROVEMENTS,
-    SCRATCH,
-    BonusFastLearner,
-    FineTuning,
-    GradientFastLearner,
-    PolicyGradient,
-    Problem,
-    maesn,
-    rl2,
-)
+from maesn.learners import SCRATCH, BonusFastLearner, FineTuning, Problem
+from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
+from maesn.learners.scratch.policy_gradient import IMPROVEMENTS
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AnnealedGaussianMLP, GaussianMLP, Recurrent

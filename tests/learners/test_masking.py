@@ -15,7 +15,8 @@ from reference.maesn import Settings
 from reference.parameters import flatten, unflatten
 
 from maesn.experience.episodes import Episodes
-from maesn.learners import GradientInfo, GradientState
+from maesn.learners.gradient.info import GradientInfo
+from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.objective import MetaParameters
 
 KEY = 4

@@ -9,8 +9,9 @@ from jax.flatten_util import ravel_pytree
 from learning_problems.prepared import ACTION, OBSERVATION, SIZES, UNEQUAL, make_problem
 from learning_problems.translation import experience_for
 
+from maesn import maml_bias
 from maesn.context import BiasContext
-from maesn.learners import Problem, maml_bias
+from maesn.learners import Problem
 from maesn.learners.gradient.objective import MetaObjective
 from maesn.policies import GaussianMLP
 

@@ -7,10 +7,11 @@ import pytest
 from learning_problems.probes import PROBES, hidden_target
 from playing import assert_same, keys
 
+from maesn import oracle
 from maesn.context import OracleContext
 from maesn.envs import FAMILIES, BlockPushTask
 from maesn.evaluation.evaluate import adapt
-from maesn.learners import Problem, oracle
+from maesn.learners import Problem
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

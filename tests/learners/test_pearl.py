@@ -12,8 +12,9 @@ import pytest
 from learning_problems.watching import EPISODES, TASKS, Watching
 from small_runs import create, finish
 
+from maesn import PearlMetaLearner, pearl
 from maesn.context import Latent
-from maesn.learners import PearlMetaLearner, Problem, pearl
+from maesn.learners import Problem
 from maesn.learners.pearl.encoder import EncoderSettings, Factors
 from maesn.learners.pearl.meta_learner import MOST_REPLAY_BYTES
 from maesn.learners.pearl.replay import Replay, transitions_of

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from maesn.learners import GradientStep, ProximalStep, TrustRegionStep
+from maesn import ProximalStep, TrustRegionStep
+from maesn.learners import GradientStep
 from maesn.learners.policy_steps import AbstractPolicyStep
 from maesn.learners.trials import Trials
 from maesn.numerics import Categorical, MinibatchDescent

@@ -15,16 +15,13 @@ from jax.flatten_util import ravel_pytree
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 from learning_problems.prepared import HORIZON
 
+from maesn import GradientMetaLearner
 from maesn.context import AbstractContextSettings, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep
-from maesn.learners import (
-    PRESETS,
-    GradientFastState,
-    GradientInfo,
-    GradientMetaLearner,
-    GradientState,
-    Problem,
-)
+from maesn.learners import PRESETS, Problem
+from maesn.learners.gradient.fast_learner import GradientFastState
+from maesn.learners.gradient.info import GradientInfo
+from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.recommended import with_setting
 from maesn.policies import GaussianMLP

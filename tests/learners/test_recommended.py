@@ -9,8 +9,8 @@ import pytest
 import maesn
 from maesn.commands.train import read_options
 from maesn.envs import FAMILIES, HOSTED
-from maesn.learners import PRESETS, method_name, recommended_settings
-from maesn.learners.recommended import ANY, RECOMMENDED, with_setting
+from maesn.learners import PRESETS, method_name
+from maesn.learners.recommended import ANY, RECOMMENDED, recommended_settings, with_setting
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json
 from maesn.settings import leaves

@@ -12,19 +12,19 @@ import pytest
 from learning_problems.memory import assert_a_probe_of_memory_is_solved
 from learning_problems.watching import EPISODES, TASKS, Watching
 
-from maesn.evaluation.evaluate import adapt
-from maesn.learners import (
+from maesn import (
     GradientMetaLearner,
-    Problem,
     ProximalStep,
     RecurrentMetaLearner,
-    RecurrentMetaState,
     RecurrentValue,
     TrustRegionStep,
     maesn,
     rl2,
 )
+from maesn.evaluation.evaluate import adapt
+from maesn.learners import Problem
 from maesn.learners.gradient.outer import TrustRegionOuterStep
+from maesn.learners.recurrent.meta_learner import RecurrentMetaState
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion

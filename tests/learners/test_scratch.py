@@ -14,13 +14,14 @@ from playing import keys
 from reference.policy_gradient import reinforce_step, trpo_step
 from reference.trust_region import TrustRegionSettings
 
+from maesn import PolicyGradient, TrustRegionStep
 from maesn.context import Nothing
 from maesn.envs import find_family
 from maesn.evaluation.evaluate import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator
-from maesn.learners import SCRATCH, GradientStep, PolicyGradient, PolicyImprovement, TrustRegionStep
+from maesn.learners import SCRATCH, GradientStep, PolicyImprovement
 from maesn.networks import MLP, Linear
 from maesn.numerics import DiagonalGaussian
 from maesn.numerics.trust_region import TrustRegion

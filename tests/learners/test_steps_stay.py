@@ -18,16 +18,10 @@ from jax.flatten_util import ravel_pytree
 from learning_problems.prepared import ACTION, LATENT, OBSERVATION, UNEQUAL, make_problem, stack
 from learning_problems.translation import experience_for
 
+from maesn import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
 from maesn.context import BiasContext
 from maesn.experience.episodes import Thinning
-from maesn.learners import (
-    PRESETS,
-    Problem,
-    ProximalStep,
-    RecurrentMetaLearner,
-    RecurrentValue,
-    rl2,
-)
+from maesn.learners import PRESETS, Problem
 from maesn.learners.gradient.curvature import sampled_distributions, step_weights
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.gradient.objective import MetaObjective

@@ -15,20 +15,20 @@ from learning_problems.probes import HiddenSide
 from learning_problems.watching import EPISODES, TASKS, Watching
 from small_runs import create, finish
 
-from maesn.envs import TaskSet
-from maesn.evaluation.evaluate import adapt
-from maesn.experience.episodes import Episodes
-from maesn.learners import (
+from maesn import (
     BeliefDecoderSettings,
     BeliefEncoderSettings,
     BeliefInference,
     BeliefValue,
     HyperBonus,
-    Problem,
     ProximalStep,
     VaribadMetaLearner,
     varibad,
 )
+from maesn.envs import TaskSet
+from maesn.evaluation.evaluate import adapt
+from maesn.experience.episodes import Episodes
+from maesn.learners import Problem
 from maesn.learners.trials import join_episodes
 from maesn.learners.varibad.meta_learner import MOST_BUFFER_BYTES
 from maesn.learners.varibad.policy import BeliefPolicy

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from maesn.learners import BeliefDecoderSettings, BeliefEncoderSettings, BeliefInference, HyperBonus
+from maesn import BeliefDecoderSettings, BeliefEncoderSettings, BeliefInference, HyperBonus
 from maesn.learners.varibad.decoder import Decoder
 from maesn.learners.varibad.encoder import BeliefEncoder
 from maesn.learners.varibad.inference import Draws, previous

@@ -4,9 +4,10 @@ import jax
 import numpy as np
 
 from learning_problems.probes import HiddenSide
+from maesn import ProximalStep, RecurrentValue
 from maesn.envs import TaskSet
 from maesn.evaluation.evaluate import adapt
-from maesn.learners import PRESETS, Problem, ProximalStep, RecurrentValue
+from maesn.learners import PRESETS, Problem
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
 from maesn.worlds import make_world

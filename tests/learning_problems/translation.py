@@ -10,11 +10,11 @@ from reference.policy import num_layers
 from reference.trust_region import TrustRegionSettings
 
 from learning_problems.prepared import LATENT, ROWS, SIZES, Problem, stack
+from maesn import GradientMetaLearner
 from maesn.context import Latent, LatentContext, NoContext, Nothing
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSizes
 from maesn.inner.advantage import AdvantageEstimator, Advantages
-from maesn.learners import GradientMetaLearner
 from maesn.learners.gradient.objective import Experience, MetaObjective, MetaParameters
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.networks.mlp import MLP, Linear

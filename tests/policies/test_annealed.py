@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from learning_problems.analytic import ACTION, OBSERVATION, AnalyticCollect
 
-from maesn.learners import GradientState, Problem, RecurrentMetaLearner, maesn
+from maesn import RecurrentMetaLearner, maesn
+from maesn.learners import Problem
+from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP
 

@@ -8,10 +8,10 @@ import pytest
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
 from strangers import HORIZON, draw_walks, make_fragile, make_walker
 
+from maesn import rl2
 from maesn.api import adapt, report
 from maesn.envs import TaskFamily
 from maesn.envs.foreign import gymnasium_family
-from maesn.learners import rl2
 from maesn.policies import Recurrent
 from maesn.runs.run import Run
 from maesn.runs.training import train

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from small_runs import create, finish
 
-from maesn import api
-from maesn.learners import ProximalStep, RecurrentMetaLearner, RecurrentValue, rl2
+from maesn import ProximalStep, RecurrentMetaLearner, RecurrentValue, api, rl2
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent
 

@@ -6,9 +6,10 @@ from typing import Any
 import equinox as eqx
 import pytest
 
+from maesn import maesn
 from maesn.context import BiasContext, LatentContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
-from maesn.learners import PRESETS, AbstractMetaLearner, maesn
+from maesn.learners import PRESETS, AbstractMetaLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.policy_steps import ProximalStep
 from maesn.numerics.minibatch_descent import MinibatchDescent

@@ -11,8 +11,8 @@ import pytest
 from small_runs import Drift, create, finish, metrics, outcome, reopened, tensors, tiny_maesn
 from tensorboardX.proto.event_pb2 import Event
 
+from maesn import latent_space
 from maesn.context import LatentContext
-from maesn.learners import latent_space
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
 from maesn.runs.training import train

@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from maesn import maesn as maesn_preset
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point
-from maesn.learners import GradientFastLearner, Problem
-from maesn.learners import maesn as maesn_preset
+from maesn.learners import Problem
+from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.policies import GaussianMLP
 from maesn.runs.export import Stated, exported_policy, write_policy
 from maesn.runtime import Explorer

@@ -12,10 +12,9 @@ from runtime.robot import fast_learner
 from runtime.test_limits import Driven, Odd
 from runtime.test_search import PRIOR
 
-from maesn import api, cli
+from maesn import api, cli, rl2
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point, Wheeled
-from maesn.learners import rl2
 from maesn.policies import Recurrent
 from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy

@@ -13,7 +13,7 @@ from maesn.context import Latent
 from maesn.envs import Point, point
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import StepSchedule
-from maesn.learners import GradientFastLearner
+from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.numerics import DiagonalGaussian
 from maesn.runs.export import exported_policy
 from maesn.runtime import Episode, Explorer, ExplorerState

@@ -14,12 +14,11 @@ import pytest
 from small_runs import tiny_maesn, tiny_settings
 
 import maesn
-from maesn import api, cli
+from maesn import api, cli, latent_space, maesn_theta, maml
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.film import record_adaptation
 from maesn.evaluation.running import new_tasks
 from maesn.inner.adaptation import Adaptation, InnerStep
-from maesn.learners import latent_space, maesn_theta, maml
 from maesn.policies import GaussianMLP
 from maesn.rules import SearchRule
 from maesn.runs.checkpoint import read_checkpoint, save_checkpoint

@@ -14,9 +14,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from maesn import GradientMetaLearner
 from maesn.envs.sources import resolve_family
 from maesn.experience.episodes import Episodes
-from maesn.learners import PRESETS, GradientMetaLearner, Problem
+from maesn.learners import PRESETS, Problem
 from maesn.numerics.mesh import sharing_tasks
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

@@ -7,10 +7,9 @@ import pytest
 from inline_executor import Here
 from small_runs import create, finish, tiny_maesn
 
-from maesn import cli
+from maesn import cli, oracle
 from maesn.envs.sources import resolve_family
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import oracle
 from maesn.policies import USUAL, GaussianMLP
 from maesn.rules import GradientRule, ThenTrpo
 from maesn.storage import read_json

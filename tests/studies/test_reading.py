@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from maesn import cli
-from maesn.learners import GradientMetaLearner
+from maesn import GradientMetaLearner, cli
 from maesn.rules import SearchRule
 from maesn.runs.config import RunSettings
 from maesn.runs.serialization import fields_to_json, leaves

@@ -1,7 +1,7 @@
 """Settings of contexts: where they start, their penalty, and how z is differentiated."""
 
 from abc import abstractmethod
-from typing import Generic, Literal, TypeAlias, TypeVar
+from typing import ClassVar, Generic, Literal, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,9 @@ Value = TypeVar("Value", bound=AbstractContext)
 
 class AbstractContextSettings(eqx.Module, Generic[Value]):
     """Settings of a context: where it starts, its penalty, and how its z is differentiated."""
+
+    is_adaptable: ClassVar[bool] = True
+    """Whether a context has parameters that an inner step can move."""
 
     @abstractmethod
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Value:
@@ -46,11 +49,6 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
         """Whether the inner gradient of the context runs through the policy."""
         return False
 
-    @property
-    def is_adaptable(self) -> bool:
-        """Whether a context has parameters that an inner step can move."""
-        return True
-
     def draw_loss(
         self,
         value: Value,
@@ -74,9 +72,7 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
 class _FixedContext(AbstractContextSettings[Value]):
     """Nothing in it is learned or adapted: every task starts from the table as it is."""
 
-    @property
-    def is_adaptable(self) -> bool:
-        return False
+    is_adaptable: ClassVar[bool] = False
 
     def start(self, table: Value, task_index: Int[Array, " task"]) -> Value:
         return table

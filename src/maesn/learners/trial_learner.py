@@ -1,7 +1,5 @@
 """The fast learner of trials: the recurrent state of its policy is all that it learns."""
 
-import equinox as eqx
-
 from maesn.axes import TaskKeys
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
@@ -11,15 +9,10 @@ from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.policies import AbstractPolicy
 
 
-class RecurrentFastState(eqx.Module):
-    """State of a `RecurrentFastLearner`."""
-
-    trial_state: TrialState | None
-    """State of the trials, `[task, episode, ...]`; None at their start."""
-
-
-class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
+class RecurrentFastLearner(AbstractFastLearner[TrialState | None]):
     """Acts with a recurrent policy; an update is one more episode of its trials.
+
+    Its state is that of the trials, `[task, episode, ...]`, and None at their start.
 
     The episodes of a task are played in parallel, and each is the next one of a trial of its own:
     an update means one more episode of experience, however many trials are averaged over.
@@ -31,23 +24,22 @@ class RecurrentFastLearner(AbstractFastLearner[RecurrentFastState]):
     is_noisy: bool = True
     """Whether its actions are drawn at random."""
 
-    def init(self, keys: TaskKeys) -> RecurrentFastState:
+    def init(self, keys: TaskKeys) -> None:
         """Trials begin; nothing is random."""
-        return RecurrentFastState(None)
 
-    def agents(self, state: RecurrentFastState, purpose: Purpose = "explore") -> Agents:
+    def agents(self, state: TrialState | None, purpose: Purpose = "explore") -> Agents:
         """To be judged, they do what they always do."""
         return Agents(
             self.policy,
             Nothing(),
             shares_policy=True,
-            trial_state=state.trial_state,
+            trial_state=state,
             is_noisy=self.is_noisy,
         )
 
-    def update(self, state: RecurrentFastState, episodes: Episodes) -> RecurrentFastState:
+    def update(self, state: TrialState | None, episodes: Episodes) -> TrialState | None:
         """Go on from where the trials are after the episodes."""
-        return RecurrentFastState(episodes.trial_end)
+        return episodes.trial_end
 
     @property
     def capabilities(self) -> Capabilities:

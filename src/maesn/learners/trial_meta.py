@@ -19,7 +19,7 @@ from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import AbstractTrialValue
 from maesn.learners.trials import Trials
 from maesn.numerics import mesh, trial_advantages
-from maesn.policies import AbstractPolicy, AbstractPolicySettings
+from maesn.policies import AbstractPolicySettings
 from maesn.settings import check_number
 
 MetaState = TypeVar("MetaState")
@@ -74,9 +74,6 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
     def fast_learner(self, state: MetaState) -> RecurrentFastLearner:
         """Return the learner of new tasks: its policy goes on through their trials."""
 
-    def player(self, state: MetaState) -> AbstractPolicy:
-        return self.fast_learner(state).policy
-
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         return iterations * self.trial_episodes * self.meta_batch_size * episodes_per_task
 
@@ -101,7 +98,7 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
     def step(self, key: Key, state: MetaState, collect: Collect) -> tuple[MetaState, Info]:
         task_key, play_key, learn_key = jax.random.split(key, 3)
         index = draw_tasks(task_key, collect.num_tasks, self.meta_batch_size)
-        policy = self.player(state)
+        policy = self.fast_learner(state).policy
         episodes: list[Episodes] = []
         for number in range(self.trial_episodes):
             keys = task_keys(play_key, number, self.meta_batch_size)

@@ -56,7 +56,7 @@ class Trials(eqx.Module):
         """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""
         thinning = Thinning.draw(key, stride, self.valid)
         steps = self.inputs, self.action, self.reward, self.valid, self.behaviour
-        return _join(jax.tree.map(lambda x: thinning.take(x, 1), steps), self.z)
+        return Trials(*jax.tree.map(lambda x: thinning.take(x, 1), steps), self.z)
 
 
 def join_episodes(episodes: Sequence[Episodes]) -> Trials:
@@ -73,7 +73,7 @@ def join_episodes(episodes: Sequence[Episodes]) -> Trials:
     joined = jax.tree.map(lambda *arrays: jnp.concatenate(arrays, axis=1), *flat)
     z = episodes[0].z
     # Not -1 for the number of trials: z may have no components.
-    return _join(joined, z.reshape(z.shape[0] * z.shape[1], z.shape[2]))
+    return Trials(*joined, z.reshape(z.shape[0] * z.shape[1], z.shape[2]))
 
 
 def trials_of(agent: Agent, episodes: Episodes) -> Trials:
@@ -83,16 +83,11 @@ def trials_of(agent: Agent, episodes: Episodes) -> Trials:
         agent: the agent that played them.
         episodes: its episodes.
     """
-    return _join(_steps(episodes, agent.perceive(episodes.policy_inputs())), episodes.z)
+    return Trials(*_steps(episodes, agent.perceive(episodes.policy_inputs())), episodes.z)
 
 
 # The fields of `Trials` that have a time axis, in their order.
 _Steps: TypeAlias = tuple[PolicyInput, Array, Array, Array, AbstractDistribution]
-
-
-def _join(steps: _Steps, z: Float[Array, "trial z"]) -> Trials:
-    inputs, action, reward, valid, behaviour = steps
-    return Trials(inputs, action, reward, valid, behaviour, z)
 
 
 def _steps(episodes: Episodes, inputs: PolicyInput) -> _Steps:

@@ -1,7 +1,7 @@
 """The interface of policies and of their inputs."""
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -107,10 +107,8 @@ class AbstractPolicy(eqx.Module):
 class AbstractPolicySettings(eqx.Module):
     """Settings of a policy: builds its weights for an environment's sizes."""
 
-    @property
-    def is_recurrent(self) -> bool:
-        """Whether an action depends on earlier steps as well, through a recurrent state."""
-        return False
+    is_recurrent: ClassVar[bool] = False
+    """Whether an action depends on earlier steps as well, through a recurrent state."""
 
     def for_actions(self, kind: ActionKind) -> "AbstractPolicySettings":
         """Return the settings of such a policy for actions of a kind.

@@ -1,6 +1,7 @@
 """Recurrent policies: RL2 (Duan et al. 2016, section 2.2)."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -72,6 +73,10 @@ class RecurrentPolicy(AbstractPolicy):
 class Recurrent(AbstractPolicySettings):
     """Settings of `RecurrentPolicy`."""
 
+    is_recurrent: ClassVar[bool] = True
+    hyper: ClassVar[bool] = False
+    """Whether the recurrent state makes the weights of the readout."""
+
     action_kind: ActionKind = "continuous"
     """Real numbers, or choices."""
     encoder_sizes: tuple[int, ...] = ()
@@ -92,15 +97,6 @@ class Recurrent(AbstractPolicySettings):
         check_positive(self, "initial_std")
         check_choice("action_kind", self.action_kind, ActionKind)
         check_choice("observed_reward", self.observed_reward, ObservedReward)
-
-    @property
-    def is_recurrent(self) -> bool:
-        return True
-
-    @property
-    def hyper(self) -> bool:
-        """Whether the recurrent state makes the weights of the readout."""
-        return False
 
     @property
     def symlog(self) -> bool:
@@ -139,6 +135,8 @@ class HyperRecurrent(Recurrent):
     hold h_t. `maesn.networks.HyperMLP` has the start.
     """
 
+    hyper: ClassVar[bool] = True
+
     readout_sizes: tuple[int, ...] = (32,)
     """Widths of the hidden layers that are made. Their GridNavi: one layer of 32."""
 
@@ -146,10 +144,6 @@ class HyperRecurrent(Recurrent):
     """Whether the network reads `sign(x) log(1 + |x|)` of observation, action and reward (Hafner et
     al. 2023, "Mastering diverse domains through world models", equation 9). Gates of a recurrent
     layer do not react where inputs are large, such as the speeds of wheels."""
-
-    @property
-    def hyper(self) -> bool:
-        return True
 
 
 def input_size(observation_size: int, action_size: int, z_size: int = 0) -> int:

@@ -13,9 +13,11 @@ from learning_problems.prepared import UNEQUAL, Problem, make_problem
 from learning_problems.translation import learner_for, objective_for, to_library
 from reference.maesn import Settings
 
+from maesn import GradientMetaLearner
 from maesn.context import Bias, BiasContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSizes
-from maesn.learners import GradientInfo, GradientMetaLearner, GradientState
+from maesn.learners.gradient.info import GradientInfo
+from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.objective import MetaParameters
 from maesn.learners.presets import POLICY_STEP, latent_space, maesn, maesn_theta, maml, maml_bias
 

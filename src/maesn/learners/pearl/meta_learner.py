@@ -23,7 +23,6 @@ from maesn.learners.pearl.sac import Optimisers, SoftActorCritic
 from maesn.learners.pearl.state import Networks, PearlInfo, PearlState
 from maesn.numerics import DiagonalGaussian, if_finite
 from maesn.numerics.mesh import refuse_sharing
-from maesn.policies import AbstractPolicy
 from maesn.settings import check_choice, check_number
 
 # Bytes that the replay of all tasks takes at most. The newest checkpoint holds it.
@@ -145,9 +144,6 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
             self.encoder.next_observation,
             self.noisy_exploration,
         )
-
-    def player(self, state: PearlState) -> AbstractPolicy:
-        return state.networks.actor_critic.policy
 
     def step(self, key: Key, state: PearlState, collect: Collect) -> tuple[PearlState, PearlInfo]:
         begin_key, visit_key, learn_key = jax.random.split(key, 3)
