@@ -28,7 +28,7 @@ from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.episodes import Collect
 from maesn.learners import Problem
-from maesn.learners.trial_learner import RecurrentFastLearner
+from maesn.learners.trial_meta import RecurrentFastLearner
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent, RecurrentPolicy
 from maesn.runs.checkpoint import named_leaves, restore

@@ -20,7 +20,7 @@ from maesn.learners.gradient.outer import FirstOrderInfo
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.recurrent.meta_learner import RecurrentInfo
 from maesn.learners.varibad.inference import InferenceInfo
-from maesn.learners.varibad.state import VaribadInfo
+from maesn.learners.varibad.meta_learner import VaribadInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
 # Their programs take seconds, and what they call has tests of its own: `make docs` runs them.

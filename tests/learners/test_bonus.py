@@ -12,8 +12,14 @@ from playing import keys
 
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import SCRATCH, AbstractFastLearner, BonusFastLearner, FineTuning, Purpose
-from maesn.learners.scratch.policy_gradient import IMPROVEMENTS
+from maesn.learners import (
+    SCRATCH,
+    AbstractFastLearner,
+    BonusFastLearner,
+    FineTuning,
+    PolicyImprovement,
+    Purpose,
+)
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 
 SMALL = CuriosityBonus(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)
@@ -76,8 +82,8 @@ def test_a_bonus_is_not_added_twice_nor_lost_by_fine_tuning() -> None:
     with pytest.raises(ValueError, match="`learner` must not have a bonus already"):
         BonusFastLearner(vime, SMALL, 2, 2)
     with pytest.raises(ValueError, match=r"`learner` must not have a bonus, .* `inside`"):
-        FineTuning(vime, IMPROVEMENTS["trpo"])
-    tuned = vime.inside(lambda one: FineTuning(one, IMPROVEMENTS["trpo"]))
+        FineTuning(vime, PolicyImprovement())
+    tuned = vime.inside(lambda one: FineTuning(one, PolicyImprovement()))
     assert isinstance(tuned, BonusFastLearner)
     assert tuned.capabilities.has_bonus
-    assert tuned.learner == FineTuning(vime.learner, IMPROVEMENTS["trpo"])
+    assert tuned.learner == FineTuning(vime.learner, PolicyImprovement())

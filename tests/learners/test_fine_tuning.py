@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from playing import keys
 
-from maesn import PolicyGradient, maesn, rl2
+from maesn import PolicyGradient, PolicyImprovement, maesn, rl2
 from maesn.envs import point
 from maesn.experience.episodes import concatenate
-from maesn.learners import SCRATCH, BonusFastLearner, FineTuning, Problem
+from maesn.learners import SCRATCH, TRPO, BonusFastLearner, FineTuning, GradientStep, Problem
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
-from maesn.learners.scratch.policy_gradient import IMPROVEMENTS
+from maesn.learners.policy_steps import AbstractPolicyStep
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AnnealedGaussianMLP, GaussianMLP, Recurrent
@@ -37,10 +37,12 @@ def fast(preset: object = maesn) -> GradientFastLearner:
     return learner.fast_learner(learner.init(jax.random.key(0), Problem(2, 2, TASKS)))
 
 
-@pytest.mark.parametrize("rule", IMPROVEMENTS)
-def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Collector) -> None:
+@pytest.mark.parametrize("rule", [TRPO, GradientStep()])
+def test_the_learner_comes_first_and_the_weights_after_it(
+    rule: AbstractPolicyStep, collect: Collector
+) -> None:
     inner = fast()
-    learner = FineTuning(inner, IMPROVEMENTS[rule], after=10, least_batch=5)
+    learner = FineTuning(inner, PolicyImprovement(rule), after=10, least_batch=5)
     state, alone, agents = learner.init(keys(TASKS)), inner.init(keys(TASKS)), []
     for update in range(4):
         agents.append(learner.agents(state))
@@ -70,7 +72,7 @@ def test_the_learner_comes_first_and_the_weights_after_it(rule: str, collect: Co
 
 
 def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collector) -> None:
-    inner, improvement = fast(), IMPROVEMENTS["trpo"]
+    inner, improvement = fast(), PolicyImprovement()
     learner = FineTuning(inner, improvement, after=0, least_batch=5)
     state = learner.init(keys(TASKS))
     episodes = collect(keys(TASKS), learner.agents(state), jnp.arange(TASKS))
@@ -84,7 +86,7 @@ def test_a_tuned_step_is_that_of_the_rule_on_the_frozen_latent(collect: Collecto
 
 
 def test_episodes_of_small_updates_are_saved_for_one_step(collect: Collector) -> None:
-    inner, improvement = fast(), IMPROVEMENTS["reinforce"]
+    inner, improvement = fast(), PolicyImprovement(GradientStep())
     learner = FineTuning(inner, improvement, after=5, least_batch=15)
     states = [learner.init(keys(TASKS))]
     played = []
@@ -115,7 +117,7 @@ def test_recurrent_policies_are_refused_at_construction() -> None:
     with_bonus = BonusFastLearner(gradient, CuriosityBonus(), 2, 2)
     for learner in (recurrent, gradient, with_bonus, still):
         with pytest.raises(ValueError, match="`learner` must not be recurrent"):
-            FineTuning(learner, IMPROVEMENTS["trpo"])
+            FineTuning(learner, PolicyImprovement())
     with pytest.raises(ValueError, match="`policy` must not be annealed"):
         PolicyGradient(2, 2, AnnealedGaussianMLP())
     with pytest.raises(ValueError, match="`policy` must not be recurrent, got Recurrent:"):
@@ -128,7 +130,7 @@ def test_recurrent_policies_are_refused_at_construction() -> None:
 
 def test_the_normalisation_of_observations_stays(collect: Collector) -> None:
     statistics = ObservationStatistics(jnp.ones(()), jnp.array([1.0, -1.0]), jnp.array([4.0, 0.5]))
-    inner, improvement = fast(), IMPROVEMENTS["reinforce"]
+    inner, improvement = fast(), PolicyImprovement(GradientStep())
     settled = replace(inner.agents(inner.init(keys(TASKS))), statistics=statistics)
     state = improvement.begin(keys(TASKS), settled)
     played = collect(keys(TASKS), state.agents, jnp.arange(TASKS))

@@ -30,9 +30,8 @@ from maesn.evaluation.evaluate import adapt
 from maesn.experience.episodes import Episodes
 from maesn.learners import Problem
 from maesn.learners.trials import join_episodes
-from maesn.learners.varibad.meta_learner import MOST_BUFFER_BYTES
+from maesn.learners.varibad.meta_learner import MOST_BUFFER_BYTES, VaribadState
 from maesn.learners.varibad.policy import BeliefPolicy
-from maesn.learners.varibad.state import VaribadState
 from maesn.learners.varibad.steps import steps_of
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.normalization import ObservationStatistics

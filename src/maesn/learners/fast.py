@@ -20,7 +20,6 @@ from maesn.axes import TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.inner.adaptation import StepSchedule
 from maesn.runtime import ExportedLearner
 from maesn.runtime.episode import Purpose as Purpose
 
@@ -136,24 +135,23 @@ class AbstractFastLearner(eqx.Module, Generic[FastState]):
         """Ability: its policy is steered by a latent that others may set; None without one."""
         return None
 
-    @property
-    def step_schedule(self) -> StepSchedule | None:
-        """Ability: it follows a gradient inside a task, with these step sizes; None if not."""
-        return None
-
     def rescheduled(
-        self, schedule: StepSchedule, start_std: float = 1.0
+        self, step_scale: float, full_steps: int | None, start_std: float
     ) -> "AbstractFastLearner[FastState]":
-        """Return this learner with other step sizes, and another spread of z at the start.
+        """Ability: return this learner with other steps along its gradient inside a task.
 
         Args:
-            schedule: replaces `step_schedule`.
+            step_scale: factor on all step sizes.
+            full_steps: updates before the sizes shrink; None: as it is.
             start_std: factor on the standard deviation of the latents that new tasks start from.
 
         Raises:
             ValueError: it follows no gradient, or has no latent to start from.
         """
-        raise ValueError(f"`{type(self).__name__}` follows no gradient in a new task.")
+        raise ValueError(
+            "the rule `gradient` needs a method that follows a gradient in new tasks, but this one "
+            f"has a `{type(self).__name__}` that does not: leave the rule out."
+        )
 
     def inside(
         self, change: "Callable[[AbstractFastLearner[Any]], AbstractFastLearner[Any]]"

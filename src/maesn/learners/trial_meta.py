@@ -1,4 +1,7 @@
-"""What RL2 and VariBAD share: they play trials, and learn from whole ones by policy gradient."""
+"""What RL2 and VariBAD share: they play trials, and learn from whole ones by policy gradient.
+
+In a new task the recurrent state of the policy is all that learns.
+"""
 
 from abc import abstractmethod
 from dataclasses import replace
@@ -8,18 +11,19 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, Key
+from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.context import Nothing
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
+from maesn.experience.trial_state import TrialState
+from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.meta import AbstractMetaLearner
 from maesn.learners.meta_batch import draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep
-from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import AbstractTrialValue
 from maesn.learners.trials import Trials
 from maesn.numerics import mesh, trial_advantages
-from maesn.policies import AbstractPolicySettings
+from maesn.policies import AbstractPolicy, AbstractPolicySettings
 from maesn.settings import check_number
 
 MetaState = TypeVar("MetaState")
@@ -51,6 +55,45 @@ def describe_trials(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str,
         "action_std": mesh.mean_of_valid(behaviour.std().mean(-1), trials.valid),
         "entropy": mesh.mean_of_valid(behaviour.entropy(), trials.valid),
     }
+
+
+class RecurrentFastLearner(AbstractFastLearner[TrialState | None]):
+    """Acts with a recurrent policy; an update is one more episode of its trials.
+
+    Its state is that of the trials, `[task, episode, ...]`, and None at their start.
+
+    The episodes of a task are played in parallel, and each is the next one of a trial of its own:
+    an update means one more episode of experience, however many trials are averaged over.
+    """
+
+    policy: AbstractPolicy
+    trained_episodes: int
+    """Episodes of a trial in meta-training."""
+    is_noisy: bool = True
+    """Whether its actions are drawn at random."""
+
+    def init(self, keys: TaskKeys) -> None:
+        """Trials begin; nothing is random."""
+
+    def agents(self, state: TrialState | None, purpose: Purpose = "explore") -> Agents:
+        """To be judged, they do what they always do."""
+        return Agents(
+            self.policy,
+            Nothing(),
+            shares_policy=True,
+            trial_state=state,
+            is_noisy=self.is_noisy,
+        )
+
+    def update(self, state: TrialState | None, episodes: Episodes) -> TrialState | None:
+        """Go on from where the trials are after the episodes."""
+        return episodes.trial_end
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(
+            is_recurrent=True, trial_episodes=self.trained_episodes, learns_from_reward=False
+        )
 
 
 class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):

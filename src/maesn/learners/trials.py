@@ -56,7 +56,8 @@ class Trials(eqx.Module):
         """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""
         thinning = Thinning.draw(key, stride, self.valid)
         steps = self.inputs, self.action, self.reward, self.valid, self.behaviour
-        return Trials(*jax.tree.map(lambda x: thinning.take(x, 1), steps), self.z)
+        chosen: _Steps = jax.tree.map(lambda x: thinning.take(x, 1), steps)
+        return Trials(*chosen, self.z)
 
 
 def join_episodes(episodes: Sequence[Episodes]) -> Trials:
@@ -70,7 +71,7 @@ def join_episodes(episodes: Sequence[Episodes]) -> Trials:
         jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), _steps(one, one.policy_inputs()))
         for one in episodes
     ]
-    joined = jax.tree.map(lambda *arrays: jnp.concatenate(arrays, axis=1), *flat)
+    joined: _Steps = jax.tree.map(lambda *arrays: jnp.concatenate(arrays, axis=1), *flat)
     z = episodes[0].z
     # Not -1 for the number of trials: z may have no components.
     return Trials(*joined, z.reshape(z.shape[0] * z.shape[1], z.shape[2]))

@@ -1,6 +1,5 @@
 """The rules of the methods themselves: policy gradient, or no learning at all."""
 
-from dataclasses import replace
 from typing import Any
 
 from maesn.axes import TaskKeys
@@ -40,21 +39,8 @@ class GradientRule(AbstractRule):
         return "; ".join(text for text, is_so in parts.items() if is_so)
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
-        return trained.fast_learner().inside(self._with_schedule)
-
-    def _with_schedule(self, learner: AbstractFastLearner[Any]) -> AbstractFastLearner[Any]:
-        schedule = learner.step_schedule
-        if schedule is None:
-            raise ValueError(
-                "the rule `gradient` needs a method that follows a gradient in new tasks, but "
-                f"this one has a `{type(learner).__name__}` that does not: leave the rule out."
-            )
-        changed = replace(
-            schedule,
-            scale=schedule.scale * self.step_scale,
-            full_steps=schedule.full_steps if self.full_steps is None else self.full_steps,
-        )
-        return learner.rescheduled(changed, self.start_std)
+        changes = self.step_scale, self.full_steps, self.start_std
+        return trained.fast_learner().inside(lambda learner: learner.rescheduled(*changes))
 
 
 class NoAdaptation(AbstractRule):

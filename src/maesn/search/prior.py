@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -89,11 +88,6 @@ FEW = 5
 REPEATED, REPEATS = 20, 4
 
 
-def drawn_latents(size: int, number: int, spread: float, seed: int) -> np.ndarray:
-    """Draw latents from the widened prior N(0, spread^2 I), `[latent, z]`."""
-    return spread * np.random.default_rng(seed).standard_normal((number, size))
-
-
 def adapted_latents(latent: AbstractSettableLatent, collect: Collector, key: Key) -> np.ndarray:
     """Return a latent of each training task, `[task, z]`, found with their dense reward."""
     keys, slots = jax.random.split(key, collect.num_tasks), jnp.arange(collect.num_tasks)
@@ -112,22 +106,23 @@ def make_prior(
 
     Progress is called after each batch.
     """
-    _, episodes = settings.counts(world.env, world.tasks)
-    play = partial(_play_groups, latent, world, settings)
-    groups, key = situations(world.env, world.tasks), jax.random.key(settings.seed)
-    returns, length = play(latents, groups, episodes, key, progress)
+    returns, length = play_archive(latent, world, latents, settings, progress)
     offset = world.env.horizon * np.asarray(jax.vmap(world.env.far_reward)(world.tasks.tasks))
     if np.isnan(offset).any():
         # The environment does not say. Most latents of an archive never find the goal.
         offset = np.median(returns, axis=(1, 2))
     excess = returns - length * offset[:, None, None]
+    episodes = returns.shape[2]
     if episodes > 1:
         noise = excess.var(axis=2, ddof=1).mean(axis=0)
     else:
-        few = latents[:REPEATED], groups[:FEW], REPEATS, jax.random.fold_in(key, _AGAIN)
-        again, lengths = play(*few)
+        few = situations(world.env, world.tasks)[:FEW]
+        key = jax.random.fold_in(jax.random.key(settings.seed), _AGAIN)
+        again, lengths = _play_groups(
+            latent, world, settings, latents[:REPEATED], few, REPEATS, key
+        )
         noises = (again - lengths * offset[:, None, None]).var(axis=2, ddof=1)
-        noise = np.full(len(latents), noises[np.concatenate(groups[:FEW])].mean())
+        noise = np.full(len(latents), noises[np.concatenate(few)].mean())
     return ReturnPrior(
         latents=np.asarray(latents, np.float64),
         excess=excess.mean(axis=2),

@@ -26,7 +26,6 @@ from maesn.search.prior import (
     PriorSettings,
     Progress,
     adapted_latents,
-    drawn_latents,
     make_prior,
 )
 from maesn.storage import RunError, refusals
@@ -85,7 +84,8 @@ def run_prior(
             raise ValueError("it was trained on one task, and a search needs several to compare.")
     spread = latent.spread if settings.spread is None else settings.spread
     draws, _ = settings.counts(run.env(), run.training_tasks)
-    latents = [drawn_latents(latent.size, draws, spread, settings.seed)]
+    drawn = np.random.default_rng(settings.seed).standard_normal((draws, latent.size))
+    latents = [spread * drawn]
     if settings.adapted:
         with closing(run.world(reward_kind="dense")) as dense:
             collect = Collector(dense, _EPISODES_TO_ADAPT)

@@ -10,16 +10,24 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import TaskKeys
-from maesn.context import AbstractContext, AbstractContextSettings, Latent, LatentPerEpisode
+from maesn.context import (
+    AbstractContext,
+    AbstractContextSettings,
+    Latent,
+    LatentContext,
+    LatentPerEpisode,
+)
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Capabilities, Purpose
-from maesn.learners.gradient.exported import exported_learner
 from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import AbstractPolicy
-from maesn.runtime import ExportedLearner
+from maesn.policies import AbstractPolicy, GaussianMLPPolicy
+from maesn.policies.heads import MINIMUM_STD
+from maesn.runtime import ExportedLearner, GaussianPolicy, LearningRule
+from maesn.runtime import Latent as RuntimeLatent
+from maesn.runtime.arrays import float64
 
 
 class GradientFastState(eqx.Module):
@@ -73,20 +81,42 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
         start = self.context.start_new(self.context_table, 1)
         return GradientLatent(self) if isinstance(start, Latent) else None
 
-    @property
-    def step_schedule(self) -> StepSchedule | None:
-        return self.schedule if self.capabilities.learns_from_reward else None
-
-    def rescheduled(self, schedule: StepSchedule, start_std: float = 1.0) -> "GradientFastLearner":
+    def rescheduled(
+        self, step_scale: float, full_steps: int | None, start_std: float
+    ) -> AbstractFastLearner[GradientFastState]:
+        if not self.capabilities.learns_from_reward:
+            return super().rescheduled(step_scale, full_steps, start_std)
         if start_std != 1 and self.latent is None:
             raise ValueError(
                 "`start_std` needs a method with a latent, as `maesn`, `maesn_theta` or "
                 "`latent_space`: leave it out."
             )
+        before = self.schedule
+        schedule = StepSchedule(
+            before.full_steps if full_steps is None else full_steps,
+            before.factor,
+            before.scale * step_scale,
+        )
         return replace(self, schedule=schedule, start_std=start_std)
 
     def exported(self) -> ExportedLearner:
-        return exported_learner(self)
+        """Return the arrays of a learner whose own update is the runtime's in closed form."""
+        if not (
+            isinstance(self.policy, GaussianMLPPolicy)
+            and isinstance(self.context, LatentContext)
+            and self.context.gradient == "likelihood_ratio"
+            and self.adaptation.policy is None
+            and self.capabilities.learns_from_reward
+            and not self.advantage.drifts
+        ):
+            raise ValueError(
+                "`learner` must adapt a latent alone, by the likelihood-ratio gradient, without a "
+                "bonus or `advantage.drifts`: train with the methods `maesn` and `latent_space`."
+            )
+        context: AbstractContextSettings[Any] = self.context
+        start = context.start_new(self.context_table, 1).widened(self.start_std)
+        latent = RuntimeLatent(float64(start.mean[0]), float64(start.log_std[0]))
+        return ExportedLearner(_exported_policy(self), latent, _exported_rule(self))
 
     @eqx.filter_jit
     def update(self, state: GradientFastState, episodes: Episodes) -> GradientFastState:
@@ -136,3 +166,37 @@ class GradientLatent(AbstractSettableLatent):
         adapted = learner.update(state, episodes).agents.context
         assert isinstance(adapted, Latent)
         return np.asarray(adapted.mean, np.float64)
+
+
+def _exported_policy(learner: GradientFastLearner) -> GaussianPolicy:
+    assert isinstance(learner.policy, GaussianMLPPolicy)
+    weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
+    biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
+    if learner.statistics is not None:
+        # Observations are normalised by the first layer. With D = diag(1 / scale):
+        # ((o - mean) D) W + b = o (D W) + (b - mean D W).
+        # In double precision, because the two parts may cancel.
+        mean, scaled = float64(learner.statistics.mean), float64(weights[0]).copy()
+        scaled[: len(mean)] /= float64(learner.statistics.scale)[:, None]
+        weights[0], biases[0] = scaled, biases[0] - mean @ scaled[: len(mean)]
+    return GaussianPolicy(
+        weights=tuple(weight.astype(np.float32) for weight in weights),
+        biases=tuple(bias.astype(np.float32) for bias in biases),
+        std=np.maximum(np.exp(float64(learner.policy.log_std)), MINIMUM_STD),
+    )
+
+
+def _exported_rule(learner: GradientFastLearner) -> LearningRule:
+    step = learner.adaptation.context
+    assert step is not None
+    fixed, learned = float(step.initial_size), learner.step_sizes.context
+    mean, log_std = (learned.mean, learned.log_std) if step.learned else (fixed, fixed)
+    size, scale = learner.context_table.size, float(learner.schedule.scale)
+    return LearningRule(
+        mean_step=scale * np.full(size, float64(mean)),
+        log_std_step=scale * np.full(size, float64(log_std)),
+        full_steps=learner.schedule.full_steps,
+        factor=float(learner.schedule.factor),
+        discount=float(learner.advantage.discount),
+        ridge=float(learner.advantage.ridge),
+    )

@@ -13,20 +13,61 @@ from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key, ObservedReward
 from maesn.context import Latent
+from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.learners.meta import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.pearl.encoder import ContextEncoder, EncoderSettings
 from maesn.learners.pearl.fast_learner import PearlFastLearner
 from maesn.learners.pearl.replay import Replay, replay_features
-from maesn.learners.pearl.sac import Optimisers, SoftActorCritic
-from maesn.learners.pearl.state import Networks, PearlInfo, PearlState
+from maesn.learners.pearl.sac import ActorCritic, Optimisers, SoftActorCritic, SoftLosses
 from maesn.numerics import DiagonalGaussian, if_finite
 from maesn.numerics.mesh import refuse_sharing
 from maesn.settings import check_choice, check_number
 
 # Bytes that the replay of all tasks takes at most. The newest checkpoint holds it.
 MOST_REPLAY_BYTES = 150_000_000
+
+
+class Networks(eqx.Module):
+    """What is trained by gradients, and the scale of z that results."""
+
+    encoder: ContextEncoder
+    actor_critic: ActorCritic
+    latent_scale: Float[Array, ""]
+    """Root mean square of the components of z in the last gradient steps."""
+
+    def agents(self, belief: Latent) -> Agents:
+        """Return agents with noise in their actions, which draw z from a belief on each task."""
+        return Agents(self.actor_critic.policy, belief, shares_policy=True)
+
+
+class PearlState(eqx.Module):
+    """State of a `PearlMetaLearner`."""
+
+    networks: Networks
+    optimisers: Optimisers
+    replay: Replay
+    iteration: Int[Array, ""]
+
+
+class PearlInfo(eqx.Module):
+    """Info of one meta-iteration: scalars only."""
+
+    return_before: Float[Array, ""]
+    """Mean undiscounted return of the episodes with z from the prior."""
+    return_after: Float[Array, ""]
+    """Mean undiscounted return of the last episodes, with z from the posterior if any are."""
+    success_after: Float[Array, ""]
+    """Share of the last episodes that reach the goal region."""
+    kl: Float[Array, ""]
+    """Mean divergence of the posterior of a task from the prior, in nats."""
+    latent_std: Float[Array, ""]
+    """Mean standard deviation of the posteriors."""
+    losses: SoftLosses
+    """Means over the gradient steps."""
+    accepted: Bool[Array, ""]
+    """False if the gradient steps led to numbers that are not finite: all networks stay."""
 
 
 class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):

@@ -20,8 +20,12 @@ from maesn.learners.meta import Problem
 from maesn.learners.meta_batch import check_enough_tasks
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
 from maesn.learners.recurrent.value import RecurrentValue
-from maesn.learners.trial_learner import RecurrentFastLearner
-from maesn.learners.trial_meta import AbstractTrialMetaLearner, TrialInfo, describe_trials
+from maesn.learners.trial_meta import (
+    AbstractTrialMetaLearner,
+    RecurrentFastLearner,
+    TrialInfo,
+    describe_trials,
+)
 from maesn.learners.trial_value import ValueState, explained_variance
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import mesh, standardize

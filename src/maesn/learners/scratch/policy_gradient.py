@@ -38,6 +38,10 @@ from maesn.policies import (
 TRPO = TrustRegionStep(TrustRegion(damping=0.1, cg_steps=10))
 
 
+EVERY_STEP = "the policy gradient in one task judges every step by itself."
+"""Why a policy must not be recurrent."""
+
+
 class PolicyGradientState(eqx.Module):
     """State of a policy gradient in many tasks, each with weights of its own."""
 
@@ -48,21 +52,6 @@ class PolicyGradientState(eqx.Module):
     """One key per task, for all later draws."""
     update: Int[Array, ""]
     """Number of updates so far."""
-
-
-def refuse_recurrent(name: str, owner: object, *, is_recurrent: bool) -> None:
-    """Raise a `ValueError` about a recurrent policy: steps here treat every time step by itself.
-
-    Args:
-        name: name of the argument.
-        owner: value of the argument.
-        is_recurrent: whether its policy is recurrent.
-    """
-    if is_recurrent:
-        raise ValueError(
-            f"`{name}` must not be recurrent, got {type(owner).__name__}: the policy gradient in "
-            "one task judges every step by itself."
-        )
 
 
 class PolicyImprovement(eqx.Module):
@@ -112,7 +101,10 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     """The policy gradient method."""
 
     def __check_init__(self) -> None:
-        refuse_recurrent("policy", self.policy, is_recurrent=self.policy.is_recurrent)
+        if self.policy.is_recurrent:
+            raise ValueError(
+                f"`policy` must not be recurrent, got {type(self.policy).__name__}: {EVERY_STEP}"
+            )
         if isinstance(self.policy, AnnealedGaussianMLP):
             raise ValueError("`policy` must not be annealed: there are no meta-iterations here.")
 
@@ -132,13 +124,6 @@ class PolicyGradient(AbstractFastLearner[PolicyGradientState]):
     def update(self, state: PolicyGradientState, episodes: Episodes) -> PolicyGradientState:
         """Take one step in every task."""
         return self.improvement(state, episodes)
-
-
-IMPROVEMENTS = {
-    "trpo": PolicyImprovement(TRPO),
-    "reinforce": PolicyImprovement(GradientStep()),
-}
-"""The policy gradient methods for one task, by name."""
 
 
 def reinforce(

@@ -8,28 +8,32 @@ spread, and learns on whole trials what it is worth to find out. With a bonus it
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key, ObservedReward
 from maesn.experience.episodes import Episodes
 from maesn.learners.meta import Problem, TaskBelief
 from maesn.learners.meta_batch import check_enough_tasks
 from maesn.learners.policy_steps import AbstractPolicyStep, ProximalStep
-from maesn.learners.trial_learner import RecurrentFastLearner
-from maesn.learners.trial_meta import AbstractTrialMetaLearner, describe_trials
-from maesn.learners.trial_value import explained_variance
+from maesn.learners.trial_meta import (
+    AbstractTrialMetaLearner,
+    RecurrentFastLearner,
+    TrialInfo,
+    describe_trials,
+)
+from maesn.learners.trial_value import ValueState, explained_variance
 from maesn.learners.trials import Trials, join_episodes
 from maesn.learners.varibad.bonus import BonusState, HyperBonus
-from maesn.learners.varibad.decoder import BeliefDecoderSettings
+from maesn.learners.varibad.decoder import BeliefDecoderSettings, Decoder
 from maesn.learners.varibad.encoder import BeliefEncoderSettings
-from maesn.learners.varibad.inference import BeliefInference
+from maesn.learners.varibad.inference import BeliefInference, InferenceInfo
 from maesn.learners.varibad.policy import BeliefPolicy, side_by_side
-from maesn.learners.varibad.state import BeliefNetworks, VaribadInfo, VaribadState
 from maesn.learners.varibad.steps import Steps, TrialBuffer, step_features, steps_of
 from maesn.learners.varibad.value import BeliefValue
 from maesn.numerics import (
@@ -48,6 +52,43 @@ PUBLISHED_DESCENT = MinibatchDescent(learning_rate=7e-4, epochs=2, minibatches=4
 # Bytes that the buffer of trials takes at most. The newest checkpoint holds it.
 MOST_BUFFER_BYTES = 150_000_000
 _DRAWS = 64  # of m, whose predictions a belief averages
+
+
+class BeliefNetworks(eqx.Module):
+    """The policy with its belief, and what the belief predicts."""
+
+    policy: BeliefPolicy
+    decoder: Decoder
+
+
+class VaribadState(eqx.Module):
+    """State of a `VaribadMetaLearner`."""
+
+    networks: BeliefNetworks
+    opt_state: Any
+    """State of the policy's optimiser."""
+    inference: Any
+    """State of Adam of encoder and decoder."""
+    value: ValueState
+    bonus: BonusState | None
+    buffer: TrialBuffer
+    iteration: Int[Array, ""]
+
+
+class VaribadInfo(TrialInfo):
+    """Info of one meta-iteration: scalars only."""
+
+    bonus: Float[Array, ""]
+    """Mean bonus of a step, in the unit of rewards."""
+    explained_variance: Float[Array, ""]
+    """Share of the variance of the returns that the value function explained before the fit."""
+    value_accepted: Bool[Array, ""]
+    """False if the fitted value function was not finite: it stays as it was."""
+    policy_step: Any
+    """Info of the policy's step."""
+    inference: InferenceInfo
+    inference_accepted: Bool[Array, ""]
+    """False if encoder or decoder were not finite: they stay as they were."""
 
 
 class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):

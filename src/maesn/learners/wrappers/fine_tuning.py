@@ -18,9 +18,9 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes, concatenate
 from maesn.learners.fast import AbstractFastLearner, Capabilities, FastState, Purpose
 from maesn.learners.scratch.policy_gradient import (
+    EVERY_STEP,
     PolicyGradientState,
     PolicyImprovement,
-    refuse_recurrent,
 )
 
 LEAST_BATCH = 20
@@ -63,7 +63,8 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         if self.after < 0:
             raise ValueError(f"`after` must be at least 0 episodes, got {self.after}.")
         can = self.learner.capabilities
-        refuse_recurrent("learner", self.learner, is_recurrent=can.is_recurrent)
+        if can.is_recurrent:
+            raise ValueError(f"`learner` must not be recurrent: {EVERY_STEP}")
         if can.has_bonus:
             raise ValueError(
                 "`learner` must not have a bonus, which the updates after its own would not get: "
