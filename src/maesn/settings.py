@@ -67,10 +67,15 @@ def check_sizes(settings: Any, *names: str) -> None:
             raise ValueError(f"`{name}` must be positive, got {getattr(settings, name)}.")
 
 
-def check_numbers(settings: Any, **least: int) -> None:
-    """Check settings by `check_number`, and their `seed` and `sparse_radius`."""
+def check_least(settings: Any, **least: int) -> None:
+    """Refuse by ValueError numbers below their least value; None is never refused."""
     for name, smallest in least.items():
         check_number(name, getattr(settings, name), smallest)
+
+
+def check_numbers(settings: Any, **least: int) -> None:
+    """Check settings by `check_least`, and their `seed` and `sparse_radius`."""
+    check_least(settings, **least)
     # JAX would silently take it modulo 2^32.
     check_number("seed", settings.seed, 0, 2**32 - 1)
     check_positive(settings, "sparse_radius")

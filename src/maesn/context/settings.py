@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import Key
 from maesn.context.values import AbstractContext, Bias, Latent, Nothing, TaskDescription
 from maesn.numerics import DiagonalGaussian
-from maesn.settings import check_choice, check_number
+from maesn.settings import check_choice, check_least, check_number
 
 Value = TypeVar("Value", bound=AbstractContext)
 
@@ -148,10 +148,8 @@ class LatentContext(AbstractContextSettings[Latent]):
     """Estimator of the inner gradient of the latent. Reference: likelihood ratio."""
 
     def __check_init__(self) -> None:
-        check_number("size", self.size, 1)
+        check_least(self, size=1, kl_weight=0, initial_spread=0)
         check_choice("gradient", self.gradient, LatentGradient)
-        check_number("kl_weight", self.kl_weight, 0)
-        check_number("initial_spread", self.initial_spread, 0)
 
     @property
     def is_pathwise(self) -> bool:

@@ -24,7 +24,7 @@ from maesn.learners.trial_value import AbstractTrialValue
 from maesn.learners.trials import Trials
 from maesn.numerics import mesh, trial_advantages
 from maesn.policies import AbstractPolicy, AbstractPolicySettings
-from maesn.settings import check_number
+from maesn.settings import check_least, check_number
 
 MetaState = TypeVar("MetaState")
 Info = TypeVar("Info", bound="TrialInfo")
@@ -108,8 +108,7 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
     gae_lambda: eqx.AbstractVar[float]
 
     def __check_init__(self) -> None:  # Equinox runs that of a subclass as well
-        for name in ("meta_batch_size", "trial_episodes"):
-            check_number(name, getattr(self, name), 1)
+        check_least(self, meta_batch_size=1, trial_episodes=1)
         for name in ("discount", "gae_lambda"):
             check_number(name, getattr(self, name), 0, 1)
 

@@ -4,11 +4,10 @@ from maesn.policies.annealed import AnnealedGaussianMLP as AnnealedGaussianMLP
 from maesn.policies.base import AbstractPolicy as AbstractPolicy
 from maesn.policies.base import AbstractPolicySettings as AbstractPolicySettings
 from maesn.policies.base import PolicyInput as PolicyInput
-from maesn.policies.categorical_mlp import CategoricalMLP as CategoricalMLP
-from maesn.policies.categorical_mlp import CategoricalMLPPolicy as CategoricalMLPPolicy
-from maesn.policies.gaussian_mlp import USUAL as USUAL
-from maesn.policies.gaussian_mlp import GaussianMLP as GaussianMLP
-from maesn.policies.gaussian_mlp import GaussianMLPPolicy as GaussianMLPPolicy
+from maesn.policies.feed_forward import USUAL as USUAL
+from maesn.policies.feed_forward import CategoricalMLP as CategoricalMLP
+from maesn.policies.feed_forward import GaussianMLP as GaussianMLP
+from maesn.policies.feed_forward import MLPPolicy as MLPPolicy
 from maesn.policies.recurrent import HyperRecurrent as HyperRecurrent
 from maesn.policies.recurrent import Recurrent as Recurrent
 from maesn.policies.recurrent import RecurrentPolicy as RecurrentPolicy

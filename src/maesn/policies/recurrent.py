@@ -29,7 +29,7 @@ class RecurrentPolicy(AbstractPolicy):
 
     network: RecurrentNetwork
     head: Head
-    observed: ObservedReward = eqx.field(static=True)
+    observed_reward: ObservedReward = eqx.field(static=True, default="own")
     symlog: bool = eqx.field(static=True, default=False)
 
     def __call__(
@@ -45,10 +45,6 @@ class RecurrentPolicy(AbstractPolicy):
     @property
     def action_kind(self) -> ActionKind:
         return self.head.action_kind
-
-    @property
-    def observed_reward(self) -> ObservedReward:
-        return self.observed
 
     def seen(self, inputs: PolicyInput) -> PolicyInput:
         if not self.symlog:

@@ -15,7 +15,7 @@ from maesn.experience.agent import Agents
 from maesn.learners import AbstractSettableLatent
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.judging import returns_under, situations
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_least, check_number, check_positive
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
@@ -56,11 +56,9 @@ class PriorSettings:
     """Episodes that are played at once; bounds the memory."""
 
     def __post_init__(self) -> None:
+        check_least(self, episodes=1, searches=0, simulations=1)
         check_number("draws", self.draws, 0 if self.adapted else 1)
-        check_number("episodes", self.episodes, 1)
-        check_number("searches", self.searches, 0)
         check_number("seed", self.seed, 0, 2**32 - 1)
-        check_number("simulations", self.simulations, 1)
         check_positive(self, "spread")
 
     def counts(self, env: AnyEnv, tasks: TaskSet) -> tuple[int, int]:

@@ -23,7 +23,7 @@ from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Capabilities, Purpose
 from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import AbstractPolicy, GaussianMLPPolicy
+from maesn.policies import AbstractPolicy, MLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import ExportedLearner, GaussianPolicy, LearningRule
 from maesn.runtime import Latent as RuntimeLatent
@@ -102,7 +102,8 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     def exported(self) -> ExportedLearner:
         """Return the arrays of a learner whose own update is the runtime's in closed form."""
         if not (
-            isinstance(self.policy, GaussianMLPPolicy)
+            isinstance(self.policy, MLPPolicy)
+            and self.policy.log_std is not None
             and isinstance(self.context, LatentContext)
             and self.context.gradient == "likelihood_ratio"
             and self.adaptation.policy is None
@@ -169,7 +170,8 @@ class GradientLatent(AbstractSettableLatent):
 
 
 def _exported_policy(learner: GradientFastLearner) -> GaussianPolicy:
-    assert isinstance(learner.policy, GaussianMLPPolicy)
+    assert isinstance(learner.policy, MLPPolicy)
+    assert learner.policy.log_std is not None
     weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
     biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
     if learner.statistics is not None:

@@ -34,7 +34,7 @@ from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.numerics.mesh import check_split, over_tasks
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
-from maesn.settings import check_number
+from maesn.settings import check_least
 
 
 class GradientState(eqx.Module):
@@ -75,9 +75,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     Paper: no."""
 
     def __check_init__(self) -> None:
-        for name in ("meta_batch_size", "outer_batches"):
-            check_number(name, getattr(self, name), 1)
-        check_number("inner_updates", self.inner_updates, 0)
+        check_least(self, meta_batch_size=1, outer_batches=1, inner_updates=0)
         self._check_adaptation()
         self.outer.check_policy(self.policy)
 

@@ -20,7 +20,7 @@ from maesn.numerics import first_order_step, if_finite
 from maesn.numerics.tasks import map_tasks
 from maesn.numerics.trust_region import TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicySettings
-from maesn.settings import check_choice, check_number, check_positive
+from maesn.settings import check_choice, check_least, check_number, check_positive
 
 
 class AbstractOuterStep(eqx.Module):
@@ -73,8 +73,7 @@ class TrustRegionOuterStep(AbstractOuterStep):
     (`maesn.learners.gradient.curvature`). Its terms nearly cancel, so it needs more steps."""
 
     def __check_init__(self) -> None:
-        for name in ("curvature_stride", "hessian_stride"):
-            check_number(name, getattr(self, name), 1)
+        check_least(self, curvature_stride=1, hessian_stride=1)
 
     def check_policy(self, policy: AbstractPolicySettings) -> None:
         for name in ("curvature_stride", "hessian_stride"):

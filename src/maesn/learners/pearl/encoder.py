@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import Key
 from maesn.context import Latent
 from maesn.networks import MLP, init_mlp
-from maesn.settings import check_number, check_sizes
+from maesn.settings import check_least, check_sizes
 
 # Least variance of a factor, from the reference.
 LEAST_VARIANCE = 1e-7
@@ -85,10 +85,8 @@ class EncoderSettings(eqx.Module):
     """Whether the next observation is part of the context, for tasks that differ in dynamics."""
 
     def __check_init__(self) -> None:
-        check_number("latent_size", self.latent_size, 1)
-        check_number("context_size", self.context_size, 1)
+        check_least(self, latent_size=1, context_size=1, kl_weight=0)
         check_sizes(self, "hidden_sizes")
-        check_number("kl_weight", self.kl_weight, 0)
 
     def init(self, key: Key, observation_size: int, action_size: int) -> ContextEncoder:
         """Return freshly initialised weights."""

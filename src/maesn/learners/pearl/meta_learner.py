@@ -23,7 +23,7 @@ from maesn.learners.pearl.replay import Replay, replay_features
 from maesn.learners.pearl.sac import ActorCritic, Optimisers, SoftActorCritic, SoftLosses
 from maesn.numerics import DiagonalGaussian, if_finite
 from maesn.numerics.mesh import refuse_sharing
-from maesn.settings import check_choice, check_number
+from maesn.settings import check_choice, check_least
 
 # Bytes that the replay of all tasks takes at most. The newest checkpoint holds it.
 MOST_REPLAY_BYTES = 150_000_000
@@ -107,17 +107,15 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
     150 MB. Reference: 1e6."""
 
     def __check_init__(self) -> None:
-        names = (
-            "meta_batch_size",
-            "gradient_steps",
-            "visited_tasks",
-            "prior_batches",
-            "replay_steps",
+        check_least(
+            self,
+            meta_batch_size=1,
+            gradient_steps=1,
+            visited_tasks=1,
+            prior_batches=1,
+            replay_steps=1,
         )
-        for name in names:
-            check_number(name, getattr(self, name), 1)
-        for name in ("initial_tasks", "posterior_batches", "extra_batches", "prior_episodes"):
-            check_number(name, getattr(self, name), 0)
+        check_least(self, initial_tasks=0, posterior_batches=0, extra_batches=0, prior_episodes=0)
         check_choice("context_reward", self.context_reward, ObservedReward)
 
     @property

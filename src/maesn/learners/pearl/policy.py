@@ -19,17 +19,12 @@ class SquashedPolicy(AbstractPolicy):
     """pi(a | o, z) = tanh(N(μ, σ²)), where one network of [o, z] gives μ and log σ."""
 
     mlp: MLP
-    shown: ObservedReward = eqx.field(static=True, default="own")
-    """Kind of reward in the context. The policy itself does not read it."""
+    observed_reward: ObservedReward = eqx.field(static=True, default="own")
+    """Kind of reward that episodes record for the context. The policy itself does not read it."""
 
     @property
     def distribution(self) -> type[SquashedGaussian]:
         return SquashedGaussian
-
-    @property
-    def observed_reward(self) -> ObservedReward:
-        """The kind of reward that episodes record for the context."""
-        return self.shown
 
     def __call__(
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState

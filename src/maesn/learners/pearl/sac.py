@@ -22,7 +22,7 @@ from maesn.learners.pearl.policy import SquashedPolicy, init_policy
 from maesn.learners.pearl.replay import Batch
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import first_order_step
-from maesn.settings import check_number, check_positive, check_sizes
+from maesn.settings import check_least, check_number, check_positive, check_sizes
 
 Encoder = TypeVar("Encoder")
 
@@ -81,10 +81,9 @@ class SoftActorCritic(eqx.Module):
     """Weight of the mean squares of the policy's μ and log σ in its loss. Reference: 1e-3."""
 
     def __check_init__(self) -> None:
-        check_number("batch_size", self.batch_size, 1)
+        check_least(self, batch_size=1, output_penalty=0)
         check_positive(self, "reward_scale", "learning_rate")
         check_sizes(self, "hidden_sizes")
-        check_number("output_penalty", self.output_penalty, 0)
         for name in ("discount", "target_rate"):
             check_number(name, getattr(self, name), 0, 1)
 

@@ -22,7 +22,7 @@ from maesn.axes import Key
 from maesn.learners.trial_value import mean_and_std, moments_after
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import discounted_returns, first_order_step
-from maesn.settings import check_number, check_positive, check_sizes
+from maesn.settings import check_least, check_positive, check_sizes
 
 
 class BonusState(eqx.Module):
@@ -62,12 +62,17 @@ class HyperBonus(eqx.Module):
     """Gradient steps of a meta-iteration. (Reference: 1 after 9,600 environment steps.)"""
 
     def __check_init__(self) -> None:
-        for name in ("last_iteration", "output_size", "batch_size", "updates"):
-            check_number(name, getattr(self, name), 1)
+        check_least(
+            self,
+            last_iteration=1,
+            output_size=1,
+            batch_size=1,
+            updates=1,
+            novelty_weight=0,
+            error_weight=0,
+        )
         check_positive(self, "input_scale", "learning_rate")
         check_sizes(self, "hidden_sizes")
-        for name in ("novelty_weight", "error_weight"):
-            check_number(name, getattr(self, name), 0)
 
     @property
     def is_used(self) -> bool:

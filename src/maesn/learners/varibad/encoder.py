@@ -16,7 +16,7 @@ from maesn.axes import Key
 from maesn.learners.varibad.steps import Steps
 from maesn.networks import GRU, MLP, Linear, init_gru, init_mlp
 from maesn.numerics import DiagonalGaussian
-from maesn.settings import check_number, check_sizes
+from maesn.settings import check_least, check_sizes
 
 
 class BeliefEncoder(eqx.Module):
@@ -84,9 +84,8 @@ class BeliefEncoderSettings(eqx.Module):
     """Widths of the hidden layers between h and the posterior. Reference: none."""
 
     def __check_init__(self) -> None:
+        check_least(self, hidden_size=1, latent_size=1)
         check_sizes(self, "encoder_sizes", "readout_sizes")
-        for name in ("hidden_size", "latent_size"):
-            check_number(name, getattr(self, name), 1)
 
     def init(self, key: Key, observation_size: int, action_size: int) -> BeliefEncoder:
         """Return freshly initialised weights."""

@@ -21,7 +21,7 @@ from maesn.learners.varibad.decoder import BeliefDecoderSettings, Decoder
 from maesn.learners.varibad.encoder import BeliefEncoder
 from maesn.learners.varibad.steps import Steps, TrialBuffer
 from maesn.numerics import DiagonalGaussian, first_order_step, if_finite, masked_mean
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_least, check_positive
 
 
 class InferenceInfo(eqx.Module):
@@ -69,10 +69,10 @@ class BeliefInference(eqx.Module):
     """Learning rate of Adam. Reference: 1e-3."""
 
     def __check_init__(self) -> None:
-        for name in ("prefixes", "decoded_steps", "buffer_trials", "batch_size", "updates"):
-            check_number(name, getattr(self, name), 1)
+        check_least(
+            self, prefixes=1, decoded_steps=1, buffer_trials=1, batch_size=1, updates=1, kl_weight=0
+        )
         check_positive(self, "learning_rate")
-        check_number("kl_weight", self.kl_weight, 0)
 
     def init(self, encoder: BeliefEncoder, decoder: Decoder) -> Any:
         """Return the state of Adam before the first step."""

@@ -34,7 +34,7 @@ class BeliefPolicy(AbstractPolicy):
     """Acts on [o, μ, log σ], normalised, in place of an observation."""
     statistics: ObservationStatistics
     """Of [o, μ, log σ] in training."""
-    observed: ObservedReward = eqx.field(static=True, default="own")
+    observed_reward: ObservedReward = eqx.field(static=True, default="own")
 
     def __call__(
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
@@ -82,10 +82,6 @@ class BeliefPolicy(AbstractPolicy):
     @property
     def distribution(self) -> type[AbstractDistribution]:
         return self.policy.distribution
-
-    @property
-    def observed_reward(self) -> ObservedReward:
-        return self.observed
 
 
 def side_by_side(

@@ -23,7 +23,7 @@ from maesn.experience.episodes import Episodes
 from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
 from maesn.networks import BayesianNetwork, init_bayesian_network
 from maesn.numerics import DiagonalGaussian, Ring, first_order_step
-from maesn.settings import check_number, check_positive, check_sizes
+from maesn.settings import check_least, check_positive, check_sizes
 
 # Number of transitions whose gradients are held at once; bounds the memory.
 CHUNK_SIZE = 256
@@ -92,10 +92,10 @@ class CuriosityBonus(eqx.Module):
     """Number of batches whose median gains are averaged. Published: 10."""
 
     def __check_init__(self) -> None:
-        for name in ("samples", "batch_size", "pool_size", "pool_additions", "median_window"):
-            check_number(name, getattr(self, name), 1)
+        check_least(
+            self, samples=1, batch_size=1, pool_size=1, pool_additions=1, median_window=1, updates=0
+        )
         check_positive(self, "prior_std", "likelihood_std", "learning_rate")
-        check_number("updates", self.updates, 0)
         if not 0 <= self.weight < math.inf:
             raise ValueError(f"`weight` must be at least 0 and finite, got {self.weight}.")
         check_sizes(self, "hidden_sizes")

@@ -1,0 +1,72 @@
+"""Feed-forward policies: the Gaussian one of the paper's appendix, and one of choices."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from maesn.axes import ActionKind, Key, RecurrentState
+from maesn.networks import MLP, init_mlp
+from maesn.numerics import AbstractDistribution
+from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
+from maesn.policies.heads import Head, initial_log_std
+from maesn.settings import check_positive, check_sizes
+
+
+class MLPPolicy(AbstractPolicy):
+    """pi(a | o, z) = N(mlp([o, z]), diag(exp(log_std)^2)), or softmax(mlp([o, z]))_a of choices."""
+
+    mlp: MLP
+    log_std: Float[Array, "*batch action"] | None
+    """State-independent; None for choices."""
+
+    def __call__(
+        self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
+    ) -> tuple[AbstractDistribution, RecurrentState]:
+        outputs = self.mlp(jnp.concatenate([policy_input.observation, z]))
+        return Head(self.log_std)(outputs), recurrent_state
+
+    @property
+    def action_kind(self) -> ActionKind:
+        return Head(self.log_std).action_kind
+
+
+class GaussianMLP(AbstractPolicySettings):
+    """Settings of an `MLPPolicy` of continuous actions."""
+
+    hidden_sizes: tuple[int, ...] = (100, 100)
+    """Widths of the hidden layers. Paper: two layers of 100 (appendix "Experimental Details")."""
+    initial_std: float = 1.0
+    """Standard deviation of the actions before training. Reference: 1."""
+
+    def __check_init__(self) -> None:
+        check_sizes(self, "hidden_sizes")
+        check_positive(self, "initial_std")
+
+    def for_actions(self, kind: ActionKind) -> AbstractPolicySettings:
+        if kind == "continuous" or self.initial_std != GaussianMLP.initial_std:
+            return self
+        return CategoricalMLP(self.hidden_sizes)
+
+    def init(self, key: Key, observation_size: int, action_size: int, z_size: int) -> MLPPolicy:
+        sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
+        return MLPPolicy(init_mlp(key, sizes), initial_log_std(action_size, self.initial_std))
+
+
+class CategoricalMLP(AbstractPolicySettings):
+    """Settings of an `MLPPolicy` of choices."""
+
+    hidden_sizes: tuple[int, ...] = (100, 100)
+    """Widths of the hidden layers, as of `GaussianMLP`."""
+
+    def __check_init__(self) -> None:
+        check_sizes(self, "hidden_sizes")
+
+    def init(self, key: Key, observation_size: int, action_size: int, z_size: int) -> MLPPolicy:
+        sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
+        return MLPPolicy(init_mlp(key, sizes), None)
+
+
+USUAL: dict[ActionKind, AbstractPolicySettings] = {
+    "continuous": GaussianMLP(),
+    "discrete": CategoricalMLP(),
+}
+"""The usual feed-forward policy for each kind of actions."""
