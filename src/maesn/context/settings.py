@@ -101,15 +101,13 @@ class BiasContext(AbstractContextSettings[Bias]):
     Its inner gradient runs through the policy (pathwise), and it has no penalty.
     """
 
+    is_pathwise = True
+
     size: int = 8
     """Number of components of the bias. Reference: 8 on ant."""
 
     def __check_init__(self) -> None:
         check_number("size", self.size, 0)
-
-    @property
-    def is_pathwise(self) -> bool:
-        return True
 
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Bias:
         return Bias(jnp.zeros(self.size))

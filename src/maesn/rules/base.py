@@ -48,7 +48,19 @@ class Budget(NamedTuple):
 GRADIENT_BUDGET = Budget(500, 50, 0)  # the paper's: ten updates of fifty episodes
 
 
-class AbstractRule(eqx.Module):
+class _AbstractChoice(eqx.Module):
+    """What rules and wrappers have in common."""
+
+    @property
+    def label(self) -> str:
+        """Suffix of the method's name in figures; empty for the method's own rule."""
+        return type(self).__name__
+
+    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
+        """Raise ValueError if it could do nothing with so many episodes of each task."""
+
+
+class AbstractRule(_AbstractChoice):
     """How a trained method learns in a new task."""
 
     budget: ClassVar[Budget] = GRADIENT_BUDGET
@@ -64,16 +76,8 @@ class AbstractRule(eqx.Module):
             ValueError: the trained method lacks something that the rule needs.
         """
 
-    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Raise ValueError if the rule can do nothing with so many episodes of each task."""
 
-    @property
-    def label(self) -> str:
-        """Suffix of the method's name in figures; empty for the method's own rule."""
-        return type(self).__name__
-
-
-class AbstractWrapper(eqx.Module):
+class AbstractWrapper(_AbstractChoice):
     """An addition to a rule."""
 
     @abstractmethod
@@ -83,11 +87,3 @@ class AbstractWrapper(eqx.Module):
         Raises:
             ValueError: the addition does not fit the learner.
         """
-
-    @property
-    def label(self) -> str:
-        """Suffix of the method's name in figures."""
-        return type(self).__name__
-
-    def check_budget(self, episodes: int, episodes_per_update: int) -> None:
-        """Raise ValueError if the addition could not show with these numbers of episodes."""

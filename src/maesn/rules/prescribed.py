@@ -47,10 +47,7 @@ class NoAdaptation(AbstractRule):
     """Learn nothing: fresh episodes judge the agents as they started."""
 
     budget = Budget(episodes=0, per_update=50, deploy=50)
-
-    @property
-    def label(self) -> str:
-        return "no adaptation"
+    label = "no adaptation"
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> AbstractFastLearner[Any]:
         return FixedAgents(trained.fast_learner())

@@ -18,6 +18,7 @@ class SearchRule(AbstractRule):
 
     budget: ClassVar[Budget] = Budget(20, 1, 5)
     needs_return_prior: ClassVar[bool] = True
+    label = "search"
 
     settings: SearchSettings = SearchSettings()
     """Settings of the search itself, written in place: `--rule search exploration=1`."""
@@ -29,10 +30,6 @@ class SearchRule(AbstractRule):
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
         if episodes < 1:
             raise ValueError(f"a search needs `episodes` of at least 1, got {episodes}.")
-
-    @property
-    def label(self) -> str:
-        return "search"
 
     def fast_learner(self, trained: Trained, env: AnyEnv) -> SearchFastLearner:
         latent = latent_of(trained.fast_learner())
@@ -52,11 +49,9 @@ class StationaryRule(SearchRule):
     Its mean is the average over training tasks, its kernel stationary with their variance.
     """
 
-    settings: SearchSettings = SearchSettings(familiar=1.0)
+    label = "stationary process"
 
-    @property
-    def label(self) -> str:
-        return "stationary process"
+    settings: SearchSettings = SearchSettings(familiar=1.0)
 
     def model(self, prior: ReturnPrior) -> ReturnModel:
         return self.settings.model(prior).unlike(wider=1.0, shifted=False)

@@ -90,12 +90,10 @@ class ThenReinforce(AbstractThen):
 class VimeBonus(AbstractWrapper):
     """A curiosity bonus, as in VIME."""
 
+    label = "bonus by VIME"
+
     curiosity: CuriosityBonus = CuriosityBonus()
     """Settings of the bonus."""
-
-    @property
-    def label(self) -> str:
-        return "bonus by VIME"
 
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
         return BonusFastLearner(learner, self.curiosity, env.observation_size, env.action_size)
