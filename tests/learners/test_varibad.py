@@ -136,7 +136,7 @@ def test_a_meta_iteration_plays_trials_believes_and_improves(
     assert bool(info.inference_accepted)
     moved = jax.tree.map(lambda x, y: bool((x != y).any()), state.networks, after.networks)
     assert all(jax.tree.leaves(moved))
-    assert (float(info.bonus) > 0) == bonus.is_used
+    assert (float(info.bonus) > 0) == (bonus.novelty_weight + bonus.error_weight > 0)
     returns = [float(episodes.undiscounted_return.mean()) for episodes in collect.played]
     assert (float(info.return_before), float(info.return_after)) == pytest.approx(
         (returns[0], returns[-1])

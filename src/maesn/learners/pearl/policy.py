@@ -4,15 +4,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import Key, ObservedReward, RecurrentState
-from maesn.networks import MLP, init_mlp
+from maesn.axes import ObservedReward, RecurrentState
+from maesn.networks import MLP
 from maesn.numerics import SquashedGaussian
 from maesn.policies import AbstractPolicy, PolicyInput
 
 # Bounds of log σ before squashing, from the reference.
 LOG_STD_BOUNDS = (-20.0, 2.0)
-# Factor on the weights of the last layer at the start: the mean is then 0 and σ is 1 everywhere.
-FIRST_SCALE = 1e-2
 
 
 class SquashedPolicy(AbstractPolicy):
@@ -37,19 +35,3 @@ class SquashedPolicy(AbstractPolicy):
         """Return the distribution of the action."""
         mean, log_std = jnp.split(self.mlp(jnp.concatenate([observation, z])), 2)
         return SquashedGaussian(mean, jnp.clip(log_std, *LOG_STD_BOUNDS))
-
-
-def init_policy(key: Key, sizes: tuple[int, ...], shown: ObservedReward) -> SquashedPolicy:
-    """Return a policy that acts nearly alike everywhere.
-
-    Args:
-        key: random key.
-        sizes: components of observation and z together, widths of the hidden layers, and components
-            of an action.
-        shown: kind of reward in the context.
-    """
-    mlp = init_mlp(key, (*sizes[:-1], 2 * sizes[-1]))
-    scaled = eqx.tree_at(
-        lambda mlp: mlp.layers[-1].weight, mlp, replace_fn=lambda w: w * FIRST_SCALE
-    )
-    return SquashedPolicy(scaled, shown)

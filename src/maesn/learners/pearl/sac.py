@@ -18,13 +18,16 @@ import optax
 from jaxtyping import Array, Float
 
 from maesn.axes import Key, ObservedReward
-from maesn.learners.pearl.policy import SquashedPolicy, init_policy
+from maesn.learners.pearl.policy import SquashedPolicy
 from maesn.learners.pearl.replay import Batch
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import first_order_step
 from maesn.settings import check_least, check_number, check_positive, check_sizes
 
 Encoder = TypeVar("Encoder")
+
+# Factor on the policy's last weights at the start: the mean is then 0 and σ is 1 everywhere.
+FIRST_SCALE = 1e-2
 
 
 class ActorCritic(eqx.Module):
@@ -103,8 +106,13 @@ class SoftActorCritic(eqx.Module):
         inputs, hidden = observation_size + z_size, self.hidden_sizes
         q_sizes = (inputs + action_size, *hidden, 1)
         value = init_mlp(value_key, (inputs, *hidden, 1))
+        mlp = eqx.tree_at(
+            lambda mlp: mlp.layers[-1].weight,
+            init_mlp(policy_key, (inputs, *hidden, 2 * action_size)),
+            replace_fn=lambda weight: weight * FIRST_SCALE,
+        )
         return ActorCritic(
-            init_policy(policy_key, (inputs, *hidden, action_size), shown),
+            SquashedPolicy(mlp, shown),
             (init_mlp(first, q_sizes), init_mlp(second, q_sizes)),
             value,
             value,

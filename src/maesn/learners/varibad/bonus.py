@@ -74,14 +74,9 @@ class HyperBonus(eqx.Module):
         check_positive(self, "input_scale", "learning_rate")
         check_sizes(self, "hidden_sizes")
 
-    @property
-    def is_used(self) -> bool:
-        """Whether there is a bonus at all."""
-        return self.novelty_weight > 0 or self.error_weight > 0
-
     def init(self, key: Key, features: int) -> BonusState | None:
-        """Return the state before training, for inputs of so many components; None if not used."""
-        if not self.is_used:
+        """Return the state before training, for inputs of so many components; None for no bonus."""
+        if self.novelty_weight == self.error_weight == 0:
             return None
         target_key, predictor_key = jax.random.split(key)
         sizes = (features, *self.hidden_sizes, self.output_size)

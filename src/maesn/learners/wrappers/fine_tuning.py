@@ -6,7 +6,7 @@ reach, the weights can.
 """
 
 from dataclasses import replace
-from typing import Any, Generic
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from maesn.axes import TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes, concatenate
-from maesn.learners.fast import AbstractFastLearner, Capabilities, FastState, Purpose
+from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.scratch.policy_gradient import (
     EVERY_STEP,
     PolicyGradientState,
@@ -27,10 +27,10 @@ LEAST_BATCH = 20
 """Episodes that a step of the weights usually learns from, at least."""
 
 
-class FineTuningState(eqx.Module, Generic[FastState]):
+class FineTuningState(eqx.Module):
     """State of `FineTuning`."""
 
-    learner: FastState
+    learner: Any
     tuning: PolicyGradientState | None
     """State of the fine-tuning; None until the learner has had its episodes."""
     keys: TaskKeys
@@ -40,7 +40,7 @@ class FineTuningState(eqx.Module, Generic[FastState]):
     """Episodes that the weights have yet to learn from."""
 
 
-class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
+class FineTuning(AbstractFastLearner[FineTuningState]):
     """`after` episodes for a fast learner, then policy gradient on its agents' weights.
 
     The contexts stay as the learner has left them: z is drawn from the adapted latent in every
@@ -71,17 +71,17 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
                 "fine-tune the learner inside of the bonus, by its method `inside`."
             )
 
-    def init(self, keys: TaskKeys) -> FineTuningState[Any]:
+    def init(self, keys: TaskKeys) -> FineTuningState:
         return self._next(self.learner.init(keys), keys, jnp.zeros((), int))
 
-    def agents(self, state: FineTuningState[Any], purpose: Purpose = "explore") -> Agents:
+    def agents(self, state: FineTuningState, purpose: Purpose = "explore") -> Agents:
         """Return the learner's agents, or those of its contexts and the tuned weights."""
         if state.tuning is None:
             return self.learner.agents(state.learner, purpose)
         agents = state.tuning.agents
         return agents.at_mean() if purpose == "deploy" else agents
 
-    def update(self, state: FineTuningState[Any], episodes: Episodes) -> FineTuningState[Any]:
+    def update(self, state: FineTuningState, episodes: Episodes) -> FineTuningState:
         """Update the learner, or the weights once the learner has had its episodes."""
         count = state.episodes + episodes.valid.shape[1]
         if state.tuning is None:
@@ -92,14 +92,14 @@ class FineTuning(AbstractFastLearner[FineTuningState[Any]]):
         tuned = self.improvement(state.tuning, concatenate(*saved))
         return replace(state, tuning=tuned, episodes=count, saved=())
 
-    def adapted(self, state: FineTuningState[Any]) -> AbstractContext:
+    def adapted(self, state: FineTuningState) -> AbstractContext:
         return self.learner.adapted(state.learner)
 
     @property
     def capabilities(self) -> Capabilities:
         return self.learner.capabilities._replace(learns_from_reward=True)
 
-    def _next(self, learned: Any, keys: TaskKeys, count: Int[Array, ""]) -> FineTuningState[Any]:
+    def _next(self, learned: Any, keys: TaskKeys, count: Int[Array, ""]) -> FineTuningState:
         """Return the state after an update of the learner. After its last one, tuning begins."""
         tuning = None
         if int(count) >= self.after:
