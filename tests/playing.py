@@ -12,7 +12,7 @@ from maesn.envs import AnyEnv, TaskSet
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.networks import MLP, Linear
-from maesn.policies import CategoricalMLP, GaussianMLP, MLPPolicy
+from maesn.policies import CategoricalMLP, GaussianMLP, GaussianMLPPolicy
 from maesn.worlds import Start, make_world, open_stepper
 from maesn.worlds.collector import Collector
 
@@ -38,7 +38,9 @@ def constant_agents(env: AnyEnv, num_tasks: int, mean: Any, std: float) -> Agent
     inputs = env.observation_size + LATENT_SIZE
     layer = Linear(jnp.zeros((inputs, env.action_size)), jnp.full(env.action_size, mean, float))
     log_std = jnp.full(env.action_size, math.log(std), float)
-    return Agents(MLPPolicy(MLP((layer,)), log_std), _latent(num_tasks, 0), shares_policy=True)
+    return Agents(
+        GaussianMLPPolicy(MLP((layer,)), log_std), _latent(num_tasks, 0), shares_policy=True
+    )
 
 
 def _latent(num_tasks: int, seed: int) -> Latent:

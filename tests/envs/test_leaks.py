@@ -18,7 +18,7 @@ from playing import agents, assert_same, keys, play, readings_at
 
 from maesn.envs import FAMILIES, AnyEnv, BlockPushTask, Point
 from maesn.experience.episodes import Episodes
-from maesn.policies import MLPPolicy
+from maesn.policies import GaussianMLPPolicy
 
 EVERY = FAMILIES | PROBES
 
@@ -145,7 +145,7 @@ def test_a_leak_would_be_noticed(make_env: type[Point]) -> None:
 REVEALING = {"ant", "blockpush"}
 
 
-class SparseSeer(MLPPolicy):
+class SparseSeer(GaussianMLPPolicy):
     """A policy that sees sparse rewards wherever it plays."""
 
     @property

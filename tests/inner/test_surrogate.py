@@ -13,7 +13,7 @@ from maesn.inner.advantage import Advantages
 from maesn.inner.surrogate import inner_loss, outer_loss, post_distributions
 from maesn.networks.mlp import MLP, Linear
 from maesn.numerics import DiagonalGaussian
-from maesn.policies import MLPPolicy
+from maesn.policies import GaussianMLPPolicy
 
 # One step: z ~ N(MEAN, diag(STD^2)), a ~ N(w·z + b, s^2), and a reward -(a - c)^2. So
 #     J = -(w·mean + b - c)^2 - sum_i w_i^2 std_i^2 - s^2,
@@ -28,7 +28,7 @@ EPISODES = 400_000
 def linear_agent() -> Agent:
     """The policy sees an observation too, but gives it no weight."""
     layer = Linear(jnp.asarray([[0.0], *WEIGHT[:, None]], float), jnp.asarray([OFFSET], float))
-    policy = MLPPolicy(MLP((layer,)), jnp.asarray([np.log(ACTION_STD)], float))
+    policy = GaussianMLPPolicy(MLP((layer,)), jnp.asarray([np.log(ACTION_STD)], float))
     return Agent(policy, Latent(jnp.asarray(MEAN, float), jnp.asarray(np.log(STD), float)))
 
 

@@ -25,7 +25,7 @@ from maesn.learners import SCRATCH, GradientStep, PolicyImprovement
 from maesn.networks import MLP, Linear
 from maesn.numerics import DiagonalGaussian
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import GaussianMLP, MLPPolicy
+from maesn.policies import GaussianMLP, GaussianMLPPolicy
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -58,7 +58,7 @@ def test_a_step_in_two_tasks_is_the_references_in_each(method: str, garbage: flo
             assert (np.abs(value - reference[name]) > 1e-6).any()
 
 
-def stacked(policy: MLPPolicy, number: int) -> MLPPolicy:
+def stacked(policy: GaussianMLPPolicy, number: int) -> GaussianMLPPolicy:
     return jax.tree.map(lambda x: jnp.stack([x] * number), policy)
 
 
@@ -73,7 +73,7 @@ def quadratic_bandit() -> tuple[Agents, Episodes]:
     )
     episodes = episodes_of(np.zeros((1, NUMBER, 2, 1)), action, behaviour=distribution)
     layer = Linear(jnp.zeros((1, 1, 1)), jnp.full((1, 1), MEAN))
-    policy = MLPPolicy(MLP((layer,)), jnp.full((1, 1), np.log(STD)))
+    policy = GaussianMLPPolicy(MLP((layer,)), jnp.full((1, 1), np.log(STD)))
     rewarded = replace(episodes, reward=-((action[..., 0] - GOAL) ** 2))
     return Agents(policy, Nothing(), shares_policy=False), rewarded
 
@@ -130,7 +130,7 @@ def test_tasks_start_with_different_weights_that_the_seed_says() -> None:
         assert (first != third).any()
 
 
-def flat(policy: MLPPolicy) -> jax.Array:
+def flat(policy: GaussianMLPPolicy) -> jax.Array:
     return ravel_pytree(policy)[0]
 
 

@@ -19,7 +19,7 @@ from maesn.learners.gradient.objective import Experience, MetaObjective, MetaPar
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.networks.mlp import MLP, Linear
 from maesn.numerics.trust_region import TrustRegion
-from maesn.policies import GaussianMLP, MLPPolicy
+from maesn.policies import GaussianMLP, GaussianMLPPolicy
 
 META_BATCH = 3
 
@@ -44,7 +44,7 @@ def learner_for(problem: Problem, **settings: object) -> GradientMetaLearner:
     )
 
 
-def to_policy(parameters: Parameters) -> MLPPolicy:
+def to_policy(parameters: Parameters) -> GaussianMLPPolicy:
     """Return theta in the library's form, in the precision that is switched on."""
     layers = [
         Linear(
@@ -53,7 +53,7 @@ def to_policy(parameters: Parameters) -> MLPPolicy:
         )
         for layer in range(num_layers(parameters))
     ]
-    return MLPPolicy(MLP(tuple(layers)), jnp.asarray(parameters["log_std"], dtype=float))
+    return GaussianMLPPolicy(MLP(tuple(layers)), jnp.asarray(parameters["log_std"], dtype=float))
 
 
 def to_library(parameters: Parameters) -> MetaParameters:
@@ -68,7 +68,7 @@ def to_library(parameters: Parameters) -> MetaParameters:
     return MetaParameters(policy, Latent(mean, log_std), sizes)
 
 
-def policy_to_reference(policy: MLPPolicy) -> Parameters:
+def policy_to_reference(policy: GaussianMLPPolicy) -> Parameters:
     """Return theta in the reference's form."""
     theta = {}
     for layer, linear in enumerate(policy.mlp.layers):

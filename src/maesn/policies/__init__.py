@@ -7,7 +7,7 @@ from maesn.policies.base import PolicyInput as PolicyInput
 from maesn.policies.feed_forward import USUAL as USUAL
 from maesn.policies.feed_forward import CategoricalMLP as CategoricalMLP
 from maesn.policies.feed_forward import GaussianMLP as GaussianMLP
-from maesn.policies.feed_forward import MLPPolicy as MLPPolicy
+from maesn.policies.feed_forward import GaussianMLPPolicy as GaussianMLPPolicy
 from maesn.policies.recurrent import HyperRecurrent as HyperRecurrent
 from maesn.policies.recurrent import Recurrent as Recurrent
 from maesn.policies.recurrent import RecurrentPolicy as RecurrentPolicy

@@ -8,7 +8,7 @@ from jaxtyping import Array, Int
 
 from maesn.axes import ActionKind, Key
 from maesn.policies.base import AbstractPolicySettings
-from maesn.policies.feed_forward import GaussianMLP, MLPPolicy
+from maesn.policies.feed_forward import GaussianMLP, GaussianMLPPolicy
 
 
 class AnnealedGaussianMLP(AbstractPolicySettings):
@@ -44,13 +44,16 @@ class AnnealedGaussianMLP(AbstractPolicySettings):
         """Return settings without a bound for actions that are choices."""
         return self if kind == "continuous" else self.network.for_actions(kind)
 
-    def init(self, key: Key, observation_size: int, action_size: int, z_size: int) -> MLPPolicy:
+    def init(
+        self, key: Key, observation_size: int, action_size: int, z_size: int
+    ) -> GaussianMLPPolicy:
         return self.network.init(key, observation_size, action_size, z_size)
 
-    def after_iteration(self, policy: MLPPolicy, iteration: Int[Array, ""]) -> MLPPolicy:
+    def after_iteration(
+        self, policy: GaussianMLPPolicy, iteration: Int[Array, ""]
+    ) -> GaussianMLPPolicy:
         """Return the policy within the bound of an iteration."""
         share = (iteration - self.first_iteration) / (self.last_iteration - self.first_iteration)
         bound = jnp.where(share < 0, jnp.inf, jnp.minimum(share, 1.0) * math.log(self.final_std))
-        assert policy.log_std is not None  # actions are continuous, or `for_actions` has no bound
         limited = jnp.minimum(policy.log_std, bound.astype(policy.log_std.dtype))
         return eqx.tree_at(lambda x: x.log_std, policy, limited)

@@ -5,32 +5,43 @@ from jaxtyping import Array, Float
 
 from maesn.axes import ActionKind, Key, RecurrentState
 from maesn.networks import MLP, init_mlp
-from maesn.numerics import AbstractDistribution
+from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
-from maesn.policies.heads import Head, initial_log_std
+from maesn.policies.heads import gaussian, initial_log_std
 from maesn.settings import check_positive, check_sizes
 
 
-class MLPPolicy(AbstractPolicy):
-    """pi(a | o, z) = N(mlp([o, z]), diag(exp(log_std)^2)), or softmax(mlp([o, z]))_a of choices."""
+class GaussianMLPPolicy(AbstractPolicy):
+    """pi(a | o, z) = N(mlp([o, z]), diag(exp(log_std)^2)), with a state-independent log_std."""
 
     mlp: MLP
-    log_std: Float[Array, "*batch action"] | None
-    """State-independent; None for choices."""
+    log_std: Float[Array, "*batch action"]
 
     def __call__(
         self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
-    ) -> tuple[AbstractDistribution, RecurrentState]:
-        outputs = self.mlp(jnp.concatenate([policy_input.observation, z]))
-        return Head(self.log_std)(outputs), recurrent_state
+    ) -> tuple[DiagonalGaussian, RecurrentState]:
+        mean = self.mlp(jnp.concatenate([policy_input.observation, z]))
+        return gaussian(mean, self.log_std), recurrent_state
+
+
+class CategoricalMLPPolicy(AbstractPolicy):
+    """pi(a | o, z) = softmax(mlp([o, z]))_a."""
+
+    mlp: MLP
+
+    def __call__(
+        self, policy_input: PolicyInput, z: Float[Array, " z"], recurrent_state: RecurrentState
+    ) -> tuple[Categorical, RecurrentState]:
+        logits = self.mlp(jnp.concatenate([policy_input.observation, z]))
+        return Categorical(logits), recurrent_state
 
     @property
     def action_kind(self) -> ActionKind:
-        return Head(self.log_std).action_kind
+        return "discrete"
 
 
 class GaussianMLP(AbstractPolicySettings):
-    """Settings of an `MLPPolicy` of continuous actions."""
+    """Settings of `GaussianMLPPolicy`."""
 
     hidden_sizes: tuple[int, ...] = (100, 100)
     """Widths of the hidden layers. Paper: two layers of 100 (appendix "Experimental Details")."""
@@ -46,13 +57,16 @@ class GaussianMLP(AbstractPolicySettings):
             return self
         return CategoricalMLP(self.hidden_sizes)
 
-    def init(self, key: Key, observation_size: int, action_size: int, z_size: int) -> MLPPolicy:
+    def init(
+        self, key: Key, observation_size: int, action_size: int, z_size: int
+    ) -> GaussianMLPPolicy:
         sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
-        return MLPPolicy(init_mlp(key, sizes), initial_log_std(action_size, self.initial_std))
+        log_std = initial_log_std(action_size, self.initial_std)
+        return GaussianMLPPolicy(init_mlp(key, sizes), log_std)
 
 
 class CategoricalMLP(AbstractPolicySettings):
-    """Settings of an `MLPPolicy` of choices."""
+    """Settings of `CategoricalMLPPolicy`."""
 
     hidden_sizes: tuple[int, ...] = (100, 100)
     """Widths of the hidden layers, as of `GaussianMLP`."""
@@ -60,9 +74,11 @@ class CategoricalMLP(AbstractPolicySettings):
     def __check_init__(self) -> None:
         check_sizes(self, "hidden_sizes")
 
-    def init(self, key: Key, observation_size: int, action_size: int, z_size: int) -> MLPPolicy:
+    def init(
+        self, key: Key, observation_size: int, action_size: int, z_size: int
+    ) -> CategoricalMLPPolicy:
         sizes = (observation_size + z_size, *self.hidden_sizes, action_size)
-        return MLPPolicy(init_mlp(key, sizes), None)
+        return CategoricalMLPPolicy(init_mlp(key, sizes))
 
 
 USUAL: dict[ActionKind, AbstractPolicySettings] = {

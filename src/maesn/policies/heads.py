@@ -16,8 +16,7 @@ MINIMUM_STD = 1e-6
 class Head(eqx.Module):
     """Turns one output for each component of an action into a distribution.
 
-    N(outputs, diag(exp(log_std)^2)), with at least the least standard deviation, or one choice,
-    with the outputs as logits.
+    N(outputs, diag(exp(log_std)^2)), or one choice, with the outputs as logits.
     """
 
     log_std: Float[Array, "*batch action"] | None
@@ -26,12 +25,17 @@ class Head(eqx.Module):
     def __call__(self, outputs: Float[Array, " action"]) -> AbstractDistribution:
         if self.log_std is None:
             return Categorical(outputs)
-        return DiagonalGaussian(outputs, jnp.maximum(self.log_std, math.log(MINIMUM_STD)))
+        return gaussian(outputs, self.log_std)
 
     @property
     def action_kind(self) -> ActionKind:
         """The kind of actions."""
         return "discrete" if self.log_std is None else "continuous"
+
+
+def gaussian(mean: Float[Array, " action"], log_std: Float[Array, " action"]) -> DiagonalGaussian:
+    """Return N(mean, diag(exp(log_std)^2)), with at least the least standard deviation."""
+    return DiagonalGaussian(mean, jnp.maximum(log_std, math.log(MINIMUM_STD)))
 
 
 def initial_log_std(action_size: int, initial_std: float) -> Float[Array, " action"]:

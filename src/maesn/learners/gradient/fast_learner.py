@@ -23,7 +23,7 @@ from maesn.inner.adaptation import Adaptation, StepSchedule, StepSizes
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Capabilities, Purpose
 from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import AbstractPolicy, MLPPolicy
+from maesn.policies import AbstractPolicy, GaussianMLPPolicy
 from maesn.policies.heads import MINIMUM_STD
 from maesn.runtime import ExportedLearner, GaussianPolicy, LearningRule
 from maesn.runtime import Latent as RuntimeLatent
@@ -102,8 +102,7 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
     def exported(self) -> ExportedLearner:
         """Return the arrays of a learner whose own update is the runtime's in closed form."""
         if not (
-            isinstance(self.policy, MLPPolicy)
-            and self.policy.log_std is not None
+            isinstance(self.policy, GaussianMLPPolicy)
             and isinstance(self.context, LatentContext)
             and self.context.gradient == "likelihood_ratio"
             and self.adaptation.policy is None
@@ -170,8 +169,7 @@ class GradientLatent(AbstractSettableLatent):
 
 
 def _exported_policy(learner: GradientFastLearner) -> GaussianPolicy:
-    assert isinstance(learner.policy, MLPPolicy)
-    assert learner.policy.log_std is not None
+    assert isinstance(learner.policy, GaussianMLPPolicy)
     weights = [np.asarray(layer.weight) for layer in learner.policy.mlp.layers]
     biases = [np.asarray(layer.bias) for layer in learner.policy.mlp.layers]
     if learner.statistics is not None:
