@@ -149,7 +149,9 @@ def test_outer_step(case: str) -> None:
     objective = objective_for(learner, problem, ROWS)
     state = GradientState(old, jnp.zeros((), int))
     updated = eqx.filter_jit(objective.updated)(old)
-    after, info = learner._improve(state, objective, updated, jax.random.key(0))
+    after, info = learner._improve(
+        state, objective.adaptation, objective.rows, updated, jax.random.key(0)
+    )
     expected = outer_step(problem.parameters, tasks, problem.settings, TrustRegionSettings())
     step = info.outer
     assert expected.accepted

@@ -47,8 +47,9 @@ def improve(
     if learner.inner_updates == 0:
         objective = replace(objective, pre=())
     state = GradientState(parameters, jnp.zeros((), int))
+    updated = eqx.filter_jit(objective.updated)(parameters)
     after, info = learner._improve(
-        state, objective, eqx.filter_jit(objective.updated)(parameters), jax.random.key(0)
+        state, objective.adaptation, objective.rows, updated, jax.random.key(0)
     )
     return after.parameters, info
 

@@ -172,13 +172,8 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             agents = self._adapted(adaptation, agents, parameters.step_sizes, pre[-1])
             updated.append(agents)
         post = self._play_outer(play_key, agents, index, collect)
-        parts = [agents.parts() for agents in updated]
-        common, own = tuple(common for common, _ in parts), tuple(own for _, own in parts)
-        # Beyond this point only the meta-parameters vary.
-        shared = state, curvature_key, adaptation, common
         rows = index, tuple(pre), post, self._advantages(post)
-        (after, info), _ = over_tasks(self._improved, shared, (rows, own))
-        return after, info
+        return self._improve(state, adaptation, rows, tuple(updated), curvature_key)
 
     def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
@@ -206,6 +201,21 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
     @eqx.filter_jit
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:
         return start_agents(self.context, state.parameters, index, state.statistics)
+
+    def _improve(
+        self,
+        state: GradientState,
+        adaptation: Adaptation,
+        rows: Any,
+        updated: tuple[Agents, ...],
+        key: Key,
+    ) -> tuple[GradientState, GradientInfo]:
+        """Do the outer step. Beyond this point only the meta-parameters vary."""
+        parts = [agents.parts() for agents in updated]
+        common, own = tuple(common for common, _ in parts), tuple(own for _, own in parts)
+        shared = state, key, adaptation, common
+        (after, info), _ = over_tasks(self._improved, shared, (rows, own))
+        return after, info
 
     def _advantages(self, episodes: Episodes) -> Advantages:
         advantages: Advantages
