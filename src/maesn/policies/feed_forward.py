@@ -1,5 +1,7 @@
 """Feed-forward policies: the Gaussian one of the paper's appendix, and one of choices."""
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -7,8 +9,20 @@ from maesn.axes import ActionKind, Key, RecurrentState
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import Categorical, DiagonalGaussian
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
-from maesn.policies.heads import gaussian, initial_log_std
 from maesn.settings import check_positive, check_sizes
+
+# Least standard deviation of an action, from the reference's policy.
+MINIMUM_STD = 1e-6
+
+
+def gaussian(mean: Float[Array, " action"], log_std: Float[Array, " action"]) -> DiagonalGaussian:
+    """Return N(mean, diag(exp(log_std)^2)), with at least the least standard deviation."""
+    return DiagonalGaussian(mean, jnp.maximum(log_std, math.log(MINIMUM_STD)))
+
+
+def initial_log_std(action_size: int, initial_std: float) -> Float[Array, " action"]:
+    """Return the `log_std` of a Gaussian policy that has learned nothing yet."""
+    return jnp.full(action_size, math.log(initial_std), dtype=float)
 
 
 class GaussianMLPPolicy(AbstractPolicy):

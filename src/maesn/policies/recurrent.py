@@ -10,14 +10,34 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
 from maesn.networks import RecurrentNetwork, init_recurrent_network
-from maesn.numerics import AbstractDistribution
+from maesn.numerics import AbstractDistribution, Categorical
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
-from maesn.policies.heads import Head, initial_log_std
+from maesn.policies.feed_forward import gaussian, initial_log_std
 from maesn.settings import check_choice, check_number, check_positive, check_sizes
 
 # A policy that amplifies its action before would play ever larger ones. Actions begin with a
 # standard deviation of 1.
 LARGEST_ACTION = 100.0
+
+
+class Head(eqx.Module):
+    """Turns one output for each component of an action into a distribution.
+
+    N(outputs, diag(exp(log_std)^2)), or one choice, with the outputs as logits.
+    """
+
+    log_std: Float[Array, "*batch action"] | None
+    """State-independent; None for choices."""
+
+    def __call__(self, outputs: Float[Array, " action"]) -> AbstractDistribution:
+        if self.log_std is None:
+            return Categorical(outputs)
+        return gaussian(outputs, self.log_std)
+
+    @property
+    def action_kind(self) -> ActionKind:
+        """The kind of actions."""
+        return "discrete" if self.log_std is None else "continuous"
 
 
 class RecurrentPolicy(AbstractPolicy):

@@ -24,7 +24,7 @@ from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Capabilities, Purpose
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.policies import AbstractPolicy, GaussianMLPPolicy
-from maesn.policies.heads import MINIMUM_STD
+from maesn.policies.feed_forward import MINIMUM_STD
 from maesn.runtime import ExportedLearner, GaussianPolicy, LearningRule
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.arrays import float64

@@ -15,7 +15,7 @@ from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, CategoricalMLP, GaussianMLP
-from maesn.policies.heads import MINIMUM_STD
+from maesn.policies.feed_forward import MINIMUM_STD
 
 
 class FixedPolicy(AbstractFastLearner[None]):

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from maesn.axes import Key, TaskKeys
 from maesn.context import AbstractContext
@@ -17,6 +17,9 @@ from maesn.experience.transitions import check_observed
 from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
 from maesn.numerics.tasks import map_tasks
+
+# For functions of the settings alone: a user's learner need not be anything that JAX can trace.
+_compiled = eqx.filter_jit(map_tasks)
 
 
 class BonusFastState(eqx.Module):
@@ -86,7 +89,10 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         """Learn from reward and bonus, then let the models learn from the transitions."""
         folded = jax.vmap(jax.random.fold_in, in_axes=(0, None))(state.keys, state.update)
         keys = jax.vmap(jax.random.split)(folded)
-        models, bonus = _judge(self.curiosity, keys[:, 0], state.curiosity, episodes)
+        # In turn, to bound the memory: every transition has a gradient of its own.
+        models, bonus = _compiled(
+            self.curiosity.judge, keys[:, 0], state.curiosity, episodes, how="serial"
+        )
         rewarded = dataclasses.replace(
             episodes,
             reward=episodes.reward + bonus,
@@ -94,24 +100,10 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
             observed_reward=episodes.received_reward,
         )
         learned = self.learner.update(state.learner, rewarded)
-        models = _learn(self.curiosity, keys[:, 1], models)
+        models = _compiled(self.curiosity.learn, keys[:, 1], models, how="vmap")
         return BonusFastState(learned, models, state.keys, state.update + 1)
 
     def _initial_model(self, key: Key) -> CuriosityState:
         if self.trained is not None:
             return self.curiosity.start(self.trained)
         return self.curiosity.init(key, self.observation_size, self.action_size)
-
-
-# Functions of the settings alone: a user's learner need not be anything that JAX can trace.
-@eqx.filter_jit
-def _judge(
-    curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState, episodes: Episodes
-) -> tuple[CuriosityState, Float[Array, "task episode time"]]:
-    # In turn, to bound the memory: every transition has a gradient of its own.
-    return map_tasks(curiosity.judge, keys, models, episodes, how="serial")
-
-
-@eqx.filter_jit
-def _learn(curiosity: CuriosityBonus, keys: TaskKeys, models: CuriosityState) -> CuriosityState:
-    return map_tasks(curiosity.learn, keys, models, how="vmap")
