@@ -13,6 +13,6 @@ from maesn.physics.interface import model_actuators as model_actuators
 from maesn.physics.interface import resting_readings as resting_readings
 from maesn.physics.loading import load_model as load_model
 from maesn.physics.native import NativeSimulator as NativeSimulator
+from maesn.physics.rendering import Marks as Marks
 from maesn.physics.rendering import Renderer as Renderer
 from maesn.physics.rendering import View as View
-from maesn.physics.rendering import footprint as footprint
