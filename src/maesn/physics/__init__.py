@@ -7,7 +7,6 @@ from maesn.physics.graphics import offscreen_library as offscreen_library
 # isort: split
 from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings
-from maesn.physics.interface import ModelActuators as ModelActuators
 from maesn.physics.interface import field_values as field_values
 from maesn.physics.interface import model_actuators as model_actuators
 from maesn.physics.interface import resting_readings as resting_readings

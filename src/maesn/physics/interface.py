@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -11,27 +10,19 @@ from maesn.physics.base import find_field
 from maesn.physics.loading import load_model
 
 
-class ModelActuators(NamedTuple):
-    """The actuators of a model."""
+def model_actuators(
+    model: str | os.PathLike[str],
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Return the actuators of a model: names, smallest and largest controls, `[actuator]`.
 
-    names: tuple[str, ...]
-    lower: np.ndarray
-    """Smallest control that the engine lets through, `[actuator]`; -inf without a limit."""
-    upper: np.ndarray
-    """Largest control, `[actuator]`; inf without a limit."""
-
-
-def model_actuators(model: str | os.PathLike[str]) -> ModelActuators:
-    """Return the actuators of a model and the limits that the engine clips their controls to."""
+    These are the limits that the engine clips to, infinite where it does not.
+    """
     compiled = load_model(model)
     clips = not compiled.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     limited = compiled.actuator_ctrllimited.astype(bool) & clips
     lower, upper = compiled.actuator_ctrlrange.T
-    return ModelActuators(
-        tuple(compiled.actuator(index).name for index in range(compiled.nu)),
-        np.where(limited, lower, -np.inf),
-        np.where(limited, upper, np.inf),
-    )
+    names = tuple(compiled.actuator(index).name for index in range(compiled.nu))
+    return names, np.where(limited, lower, -np.inf), np.where(limited, upper, np.inf)
 
 
 def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -1,6 +1,7 @@
 """What an environment does to observations and actions, read off its own functions."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AnyEnv
-from maesn.physics import load_model, resting_readings
+from maesn.physics import load_model, model_actuators, resting_readings
 from maesn.runtime import Actuators, Sensors
 from maesn.runtime.arrays import float64
 
@@ -39,13 +40,8 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     rough = np.abs(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP)
     room = np.minimum(upper - offset, offset - lower) / (2 * np.maximum(rough, _PROBE_STEP))
     step = 2.0 ** np.floor(np.log2(np.clip(room, _PROBE_STEP, 1.0)))
-    own = Actuators(
-        offset=offset,
-        scale=(control(step) - control(-step)) / (2 * step),
-        lower=lower,
-        upper=upper,
-        names=env.actuators().names,
-    )
+    scale = (control(step) - control(-step)) / (2 * step)
+    own = Actuators(offset, scale, lower, upper, ("",) * env.action_size)
     actions = _probes(env.action_size)
     wanted = float64(_controls(env, actions.astype(np.float32)))
     fits = np.isclose(own.control(actions), wanted, _TOLERANCE, _TOLERANCE).all(axis=1)
@@ -55,7 +51,10 @@ def probe_actuators(env: AnyEnv) -> Actuators:
             f"`env.control` of `{env.name}` must be clip(offset + scale * action, lower, upper) "
             f"for each actuator, but the action {actions[index]} becomes {wanted[index]}."
         )
-    return own.narrowed(env.actuators().lower, env.actuators().upper)
+    if not isinstance(env, AbstractMujocoEnv):
+        return own
+    names, lower, upper = model_actuators(env.model)
+    return replace(own, names=names).narrowed(lower, upper)
 
 
 def probe_sensors(env: AnyEnv, task: Any) -> Sensors:
