@@ -31,19 +31,6 @@ class Scale(NamedTuple):
         return jnp.clip((row - self.mean) / self.std, -FEATURE_CLIP, FEATURE_CLIP)
 
 
-def check_observed(observation_size: int) -> None:
-    """Refuse worlds without observations, in which there is nothing to predict.
-
-    Raises:
-        ValueError: there are none.
-    """
-    if observation_size < 1:
-        raise ValueError(
-            "`observation_size` must be at least 1, got "
-            f"{observation_size}: curiosity predicts observations, and there are none."
-        )
-
-
 def transitions(episodes: Episodes) -> Transitions:
     """Return the transitions of all steps of all episodes.
 
