@@ -1,6 +1,7 @@
 """A cast for the tests of the runtime: a learner with odd numbers, and episodes of a mock robot."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from maesn.learners import maesn as maesn_preset
 from maesn.policies import GaussianMLP
 from maesn.runs.export import Stated, exported_policy, write_policy
 from maesn.runtime import Explorer
+from maesn.runtime.record import encoded
+from maesn.runtime.storage import Snapshot
 
 LATENT_SIZE = 2
 STEPS = 5
@@ -71,10 +74,10 @@ def constant(reward: float, steps: int = STEPS) -> Rewards:
 
 def contents(explorer: Explorer) -> dict[str, Any]:
     """All that an explorer holds, in a form that can be compared."""
-    arrays = explorer._state.arrays(explorer.exported) | explorer.exported.arrays()
-    return {
-        **{name: array.tolist() for name, array in arrays.items()},
-        **explorer._state.metadata(),
-        "random_state": explorer._generator.bit_generator.state,
-        "safeguards": explorer.safeguards,
-    }
+    random_state = explorer._generator.bit_generator.state
+    state, search = replace(explorer._state, search=None), explorer._state.search
+    history = None if search is None else search.history
+    arrays, document = encoded(
+        Snapshot(explorer.exported, state, explorer.safeguards, random_state, history)
+    )
+    return {"document": document} | {name: array.tolist() for name, array in arrays.items()}

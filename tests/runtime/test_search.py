@@ -144,14 +144,10 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def searcher(path: Path, prior: ReturnPrior) -> Path:
-    kept = {name: getattr(prior, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
-    levels = {"proposed_levels": [0.1, 0.9], "deployed_levels": [0.02, 0.8]}
-    search = (replace(prior, **kept, **levels), SearchSettings())
+    levels = {"proposed_levels": (0.1, 0.9), "deployed_levels": (0.02, 0.8)}
+    search = (replace(prior, **levels), SearchSettings())
     write_policy(path, exported_policy(fast_learner(), Point(), {}, search=search))
     return path
-
-
-ARRAYS = ("latents", "excess", "noise")
 
 
 def episode(explorer: Explorer, value: float, steps: int = Point().horizon) -> None:

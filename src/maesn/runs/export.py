@@ -17,7 +17,8 @@ from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.arrays import float64
-from maesn.runtime.exported_search import ExportedSearch
+from maesn.runtime.exported import ExportedSearch
+from maesn.runtime.record import decoded, encoded
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
 from maesn.runtime.search_settings import SearchSettings
@@ -47,11 +48,11 @@ def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
     `ValueError` says that the runtime could not read it, as of damaged latents or a damaged prior,
     or that an ONNX file cannot be written.
     """
-    ExportedPolicy.from_archive(policy.arrays(), policy.metadata())
+    decoded(ExportedPolicy, *encoded(policy))
     if is_onnx(path):
         write_onnx(path, policy)
         return
-    write_snapshot(path, Snapshot(policy, None, Safeguards(), None))
+    write_snapshot(path, Snapshot(policy))
 
 
 def exported_policy(
