@@ -1,5 +1,7 @@
 """A cast for the tests of the runtime: a learner with odd numbers, and episodes of a mock robot."""
 
+import functools
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -81,3 +83,21 @@ def contents(explorer: Explorer) -> dict[str, Any]:
         Snapshot(explorer.exported, state, explorer.safeguards, random_state, history)
     )
     return {"document": document} | {name: array.tolist() for name, array in arrays.items()}
+
+
+def altered(path: Path, name: str, value: Any) -> Path:
+    """A file with another array, or entry of its metadata, of that name; without it for None."""
+    with np.load(path) as archive:
+        entries = {one: archive[one] for one in archive.files}
+    metadata = json.loads(str(entries["metadata"]))
+    if value is None and name in entries:
+        del entries[name]
+    elif isinstance(value, np.ndarray):
+        entries[name] = value
+    else:
+        *parents, last = name.split(".")
+        functools.reduce(dict.__getitem__, parents, metadata)[last] = value
+        entries["metadata"] = np.array(json.dumps(metadata))
+    other = path.with_stem("altered")
+    np.savez(other, **entries)
+    return other
