@@ -22,7 +22,7 @@ from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
 from maesn.runtime.record import decoded, encoded
-from maesn.runtime.return_model import ReturnPrior
+from maesn.runtime.return_model import NOMINAL, ReturnPrior
 from maesn.search.calibration import EPISODES, calibrated
 from maesn.search.learner import latent_of
 from maesn.search.prior import (
@@ -240,6 +240,9 @@ def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
     """Read a prior and its metadata, see `bound_to`; raises `RunError` if it is damaged."""
     values, metadata = read_checkpoint(path)
     try:
-        return decoded(ReturnPrior, values, parse_json(metadata["numbers"])), metadata
-    except (KeyError, ValueError) as error:
+        # Older priors state no levels.
+        levels = {"proposed_levels": [*NOMINAL], "deployed_levels": [*NOMINAL]}
+        numbers = {**levels, **parse_json(metadata["numbers"])}
+        return decoded(ReturnPrior, values, numbers), metadata
+    except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` is no prior that `maesn prior` wrote ({error}).") from error
