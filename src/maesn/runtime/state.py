@@ -64,22 +64,18 @@ class ExplorerState:
         `explore=False` holds z at the latent's mean, or at the best point of a search. A z of None,
         `[latent]`, is drawn with the generator, or chosen by the search.
         """
-        if self.search is not None:
-            search = self.search
-            if not explore:
-                best = search.latent(search.best).copy()
-                return replace(self, running=RunningEpisode(best, "deploy"))
-            if z is None:
-                search, point = search.proposed(generator)
-                z = search.latent(point).copy()
-            elif not search.has(z):
-                search = search.with_latent(z)
-            return replace(self, running=RunningEpisode(z), search=search)
+        search = self.search
         if not explore:
-            return replace(self, running=RunningEpisode(self.latent.mean.copy(), "deploy"))
-        if z is None:
+            z = self.latent.mean if search is None else search.latent(search.best)
+        elif z is None and search is not None:
+            search, point = search.proposed(generator)
+            z = search.latent(point)
+        elif z is None:
             z = self.latent.draw(generator.standard_normal(self.latent.mean.size))
-        return replace(self, running=RunningEpisode(z))
+        elif search is not None and not search.has(z):
+            search = search.with_latent(z)
+        running = RunningEpisode(z.copy(), "explore" if explore else "deploy")
+        return replace(self, running=running, search=search)
 
     def running_for(self, call: str) -> RunningEpisode:
         """Return the running episode; raises RuntimeError if there is none."""
