@@ -102,6 +102,7 @@ from maesn.search import SearchSettings as SearchSettings
 from maesn.search.prior import PriorSettings as PriorSettings
 from maesn.storage import RunError as RunError
 from maesn.studies.comparison import compare as compare
+from maesn.studies.execution import AbstractExecutor as AbstractExecutor
 from maesn.studies.spec import EvaluationSpec as EvaluationSpec
 from maesn.studies.spec import FigureSpec as FigureSpec
 from maesn.studies.spec import LineSpec as LineSpec

@@ -177,7 +177,7 @@ def export(
     control_period: float | None = None,
     overwrite: arguments.Flag = False,
 ) -> Path:
-    """Write the last checkpoint of a run as one file for the NumPy runtime, or as a network.
+    """Write the last checkpoint of a run as one file for the NumPy runtime.
 
     A robot starts at the prior, or at a latent that an adaptation has found, from which its step
     sizes go on. It is sent what the simulation lets through; the table that is shown says what
@@ -185,7 +185,7 @@ def export(
 
     Args:
         run: Directory of the run, or the name of a policy that comes with the library.
-        path: File to write: `.npz` for `maesn.runtime`, `.onnx` for the network alone.
+        path: `.npz` file to write, for `maesn.runtime`.
         family: The run's family as `module:name`, if it is your own.
         method: The run's method as `module:name`, if it is your own.
         latents: Latents that `maesn adapt` wrote for this run (`.latents.npz`), one of which the

@@ -20,7 +20,7 @@ COMMANDS = {
     "compare": "adapt runs and methods from scratch to the same tasks: one figure, one table",
     "study": "train, adapt and compare what a file says; go on with it, show how far it is",
     "report": "draw the figures of runs, or figures and tables of a study",
-    "export": "write a trained policy as one file: for the NumPy runtime, or as an ONNX network",
+    "export": "write a trained policy as one file for the NumPy runtime of a robot",
     "render": "film a trained policy in a new task, before and after adaptation",
     "list": "list methods, rules, families of tasks, and policies that come with the library",
     "doctor": "show versions, cores, graphics card and cache; let a robot drive",

@@ -1,6 +1,7 @@
 """What can be exported, what is refused, and what the file says."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +12,7 @@ import pytest
 from jaxtyping import Array, Float
 from runtime.robot import fast_learner
 
+from maesn import cli
 from maesn.context import LatentContext
 from maesn.envs import AnyEnv, Point
 from maesn.inner.adaptation import Adaptation, InnerStep
@@ -102,3 +104,20 @@ class Dead(Point):
 def test_controls_of_another_form_are_refused(env: AnyEnv) -> None:
     with pytest.raises(ValueError, match="for each actuator, but the action"):
         probe_actuators(env)
+
+
+def test_the_command_shows_what_a_robot_is_sent_and_replaces_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["export", "wheeled", str(tmp_path / "wheeled.npz")]
+    assert cli.run([*command, "--upper", "1.5"]) == 0
+    said = capsys.readouterr().out
+    assert "right_motor, 2 * action, limits -2 to 1.5" in said
+    assert "control period       0.01 s" in said
+    assert cli.run(command) == cli.USAGE_ERROR
+    each = ["--lower", "-1", "-0.5", "--upper=inf", "--overwrite"]
+    assert cli.run([*command, *each]) == 0
+    assert "left_motor, 2 * action, limits -0.5 to 2" in capsys.readouterr().out
+    for wrong in (["--lower"], ["--lower", "x"]):
+        with pytest.raises(SystemExit):
+            cli.run([*command, *wrong])

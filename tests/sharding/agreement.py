@@ -75,7 +75,6 @@ def outcomes(method: str, family: str, iterations: int, *, same: bool) -> dict[i
     found = resolve_family(family)
     env = found.make_env(reward_kind="dense")
     world = make_world(env, found.task_set("training"), num_threads=1)
-    # Five trials in each of eight tasks: minibatches of RL2 that four devices share unevenly.
     learner, collect = small(method), (Replay if same else Collector)(world, 5)
     results = {}
     for number in DEVICES:

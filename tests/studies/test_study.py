@@ -13,6 +13,7 @@ import threading
 import time
 from concurrent.futures import Future
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ from maesn.reporting.sources import compare_study
 from maesn.runs.log import METRICS
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
 from maesn.studies.execution import SECONDS_TO_BEGIN, AbstractExecutor, Execution
-from maesn.studies.executors import LocalPool, Ray
+from maesn.studies.executors import LocalPool
 from maesn.studies.jobs import STEPS_PER_SECOND, Job
 from maesn.studies.members import RUN
 from maesn.studies.spec import (
@@ -370,7 +371,7 @@ def test_names_of_jobs_say_what_decides_their_numbers() -> None:
 class Killing(AbstractExecutor):
     """Kills the process that trains, once, when it has done an iteration."""
 
-    executor: LocalPool | Ray
+    executor: AbstractExecutor
     killed: int = 0
 
     @property
@@ -401,10 +402,9 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path, name: str) -> None:
     changes = {"iterations": 60, "episodes_per_task": 3}
     runs = {"mine": dataclasses.replace(SMALL.runs["mine"], changes=changes)}
     study = Study(dataclasses.replace(SMALL, runs=runs))
-    whole = study.run(tmp_path / "whole", executor="local", workers=2)
+    whole = study.run(tmp_path / "whole", workers=2)
     jobs = tmp_path / "killed" / "jobs"
-    jobs.mkdir(parents=True)
-    pool = LocalPool(2, 1) if name == "local" else Ray(2, 1, jobs)
+    pool = LocalPool(2, 1) if name == "local" else import_module("ray_cluster").Ray(2, 1, jobs)
     executor = Killing(pool)
     done = study.run(tmp_path / "killed", executor=executor)
     assert executor.killed

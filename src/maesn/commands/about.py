@@ -25,7 +25,7 @@ from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import num_cpus
 
 # Packages that extras of the installation bring.
-_EXTRAS = ("gymnasium", "ray", "onnx")
+_EXTRAS = ("gymnasium",)
 
 
 @command

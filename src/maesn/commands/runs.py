@@ -16,7 +16,6 @@ from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
 from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
 from maesn.studies import comparison
-from maesn.studies.executors import ExecutorName
 from maesn.studies.study import FailedJobsError, Results, Study
 
 
@@ -62,7 +61,6 @@ def study(
     file: Positional[str],
     *,
     out: Path = Path("studies"),
-    executor: ExecutorName = "local",
     workers: int | None = None,
     only: str | None = None,
 ) -> None:
@@ -73,14 +71,12 @@ def study(
             and an estimate of the time left; compute nothing.
         file: A .toml file, or the name of a study that comes with the library.
         out: Directory of jobs and results; studies there share jobs.
-        executor: local: processes of this machine. ray: the cluster of RAY_ADDRESS, else one here.
         workers: Jobs at a time; None: as many as there are CPUs for.
         only: The one job to compute, as a job of an array does.
     """
     asked = Study.load(file)
     if action == "run":
-        where = {"executor": executor, "workers": workers, "only": only}
-        _say_results(partial(asked.run, out, **where, say=print))  # type: ignore[arg-type]
+        _say_results(partial(asked.run, out, workers=workers, only=only, say=print))
         return
     execution = asked.execution(out)
     jobs, left = execution.jobs, execution.left(asked.workers(workers))

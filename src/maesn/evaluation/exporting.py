@@ -11,7 +11,6 @@ from maesn.reporting.reading import RECORD
 from maesn.reporting.runs import Latents, read_record
 from maesn.rules import AbstractRule, GradientRule, SearchRule, Trained
 from maesn.runs.export import Stated, exported_policy, write_policy
-from maesn.runs.onnx_file import NO_SEARCH, is_onnx
 from maesn.runs.run import Run
 from maesn.search.stored import find_prior
 from maesn.settings import check_number
@@ -36,8 +35,6 @@ def export_run(
     elif latents is not None or task is not None:
         raise RunError("`latents` and `task` belong together: give both of them, or none.")
     if type(rule) is SearchRule and start is None:  # a subclass may have another model of returns
-        if is_onnx(path):  # before minutes are spent on a prior
-            raise RunError(NO_SEARCH)
         with closing(run.world(reward_kind="sparse")) as world:
             found = find_prior(
                 run,

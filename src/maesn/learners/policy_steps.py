@@ -17,7 +17,7 @@ from maesn.numerics import (
     MinibatchDescent,
     first_order_step,
     if_finite,
-    mesh,
+    masked_mean,
 )
 from maesn.numerics.trust_region import Candidate, TrustRegion, TrustRegionInfo
 from maesn.policies import AbstractPolicy
@@ -99,9 +99,9 @@ class GradientStep(AbstractPolicyStep):
     ) -> tuple[AbstractPolicy, Any, GradientStepInfo]:
         def loss(varied: AbstractPolicy) -> Float[Array, ""]:
             log_prob = trials.distributions(varied).log_prob(trials.action)
-            return -mesh.part_of_mean(log_prob * advantages, trials.valid)
+            return -masked_mean(log_prob * advantages, trials.valid)
 
-        value, gradient = mesh.total(jax.value_and_grad(loss)(policy))
+        value, gradient = jax.value_and_grad(loss)(policy)
         moved = first_order_step(self._optimizer, policy, gradient, opt_state)
         new, accepted = if_finite(moved, (policy, opt_state))
         return *new, GradientStepInfo(value, optax.tree.norm(gradient), accepted)
@@ -171,7 +171,7 @@ class ProximalStep(AbstractPolicyStep):
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[Float[Array, ""], ProximalInfo]:
-        """Return L, and what is logged of it; of this device, where devices share the trials.
+        """Return L, and what is logged of it.
 
         Args:
             new: distributions that vary, `[trial time action]`.
@@ -181,13 +181,13 @@ class ProximalStep(AbstractPolicyStep):
         valid = trials.valid
         ratio = probability_ratio(new, trials)
         bounded = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
-        gain = mesh.part_of_mean(jnp.minimum(ratio * advantages, bounded * advantages), valid)
-        value = -gain - self.entropy_weight * mesh.part_of_mean(new.entropy(), valid)
+        gain = masked_mean(jnp.minimum(ratio * advantages, bounded * advantages), valid)
+        value = -gain - self.entropy_weight * masked_mean(new.entropy(), valid)
         return value, ProximalInfo(
             accepted=jnp.ones((), bool),
             loss=value,
-            kl=mesh.part_of_mean(trials.behaviour.kl(new), valid),
-            clipped=mesh.part_of_mean((ratio != bounded).astype(ratio.dtype), valid),
+            kl=masked_mean(trials.behaviour.kl(new), valid),
+            clipped=masked_mean((ratio != bounded).astype(ratio.dtype), valid),
         )
 
 
@@ -220,12 +220,9 @@ class TrustRegionStep(AbstractPolicyStep):
         advantages: Float[Array, "trial time"],
     ) -> tuple[AbstractPolicy, None, TrustRegionInfo]:
         def evaluate(varied: AbstractPolicy) -> Candidate:
-            """Return this device's part."""
             new = trials.distributions(varied)
-            gain = mesh.part_of_mean(probability_ratio(new, trials) * advantages, trials.valid)
-            return Candidate(-gain, mesh.part_of_mean(trials.behaviour.kl(new), trials.valid))
-
-        differentiate = jax.value_and_grad(lambda varied: evaluate(varied).loss)
+            gain = masked_mean(probability_ratio(new, trials) * advantages, trials.valid)
+            return Candidate(-gain, masked_mean(trials.behaviour.kl(new), trials.valid))
 
         is_recurrent = policy.initial_recurrent_state() is not None
         draw = trials.sample_trials if is_recurrent else trials.sample_steps
@@ -233,10 +230,10 @@ class TrustRegionStep(AbstractPolicyStep):
         weight = sample.valid.astype(float)
         improved, info = self.trust_region.step(
             policy,
-            lambda varied: mesh.total(evaluate(varied)),
-            lambda varied: mesh.total(differentiate(varied)),
+            evaluate,
+            jax.value_and_grad(lambda varied: evaluate(varied).loss),
             sample.distributions,
-            weight / jnp.maximum(mesh.total(weight.sum()), 1.0),
+            weight / jnp.maximum(weight.sum(), 1.0),
         )
         return improved, None, info
 

@@ -18,7 +18,7 @@ from maesn.learners.policy_steps import AbstractPolicyStep
 from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_value import AbstractTrialValue
 from maesn.learners.trials import Trials
-from maesn.numerics import mesh, trial_advantages
+from maesn.numerics import masked_mean, trial_advantages
 from maesn.policies import AbstractPolicy, AbstractPolicySettings
 from maesn.settings import check_number
 
@@ -42,14 +42,14 @@ class TrialInfo(eqx.Module):
 
 
 def describe_trials(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str, Float[Array, ""]]:
-    """Return the fields of `TrialInfo`, over all devices."""
+    """Return the fields of `TrialInfo`."""
     first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
     return {
-        "return_before": mesh.mean(first.undiscounted_return.mean()),
-        "return_after": mesh.mean(last.undiscounted_return.mean()),
-        "success_after": mesh.mean(last.success.mean()),
-        "action_std": mesh.mean_of_valid(behaviour.std().mean(-1), trials.valid),
-        "entropy": mesh.mean_of_valid(behaviour.entropy(), trials.valid),
+        "return_before": first.undiscounted_return.mean(),
+        "return_after": last.undiscounted_return.mean(),
+        "success_after": last.success.mean(),
+        "action_std": masked_mean(behaviour.std().mean(-1), trials.valid),
+        "entropy": masked_mean(behaviour.entropy(), trials.valid),
     }
 
 

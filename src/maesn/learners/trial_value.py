@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.learners.trials import Trials
-from maesn.numerics import MinibatchDescent, if_finite, mesh
+from maesn.numerics import MinibatchDescent, if_finite, masked_mean
 
 Network = TypeVar("Network")
 
@@ -70,7 +70,7 @@ class AbstractTrialValue(eqx.Module, Generic[Network]):
         def loss(network: Network, batch: tuple[Trials, Array]) -> tuple[Float[Array, ""], None]:
             sample, target = batch
             error = self.outputs(network, sample) - target
-            return mesh.part_of_mean(error**2, sample.valid), None
+            return masked_mean(error**2, sample.valid), None
 
         network, opt_state, _ = self.descent.run(
             key, state.network, state.opt_state, loss, (trials, (returns - mean) / std)
@@ -98,8 +98,8 @@ def explained_variance(
 def _variance(
     values: Float[Array, "trial time"], valid: Bool[Array, "trial time"]
 ) -> Float[Array, ""]:
-    mean = mesh.mean_of_valid(values, valid)
-    return mesh.mean_of_valid((values - mean) ** 2, valid)
+    mean = masked_mean(values, valid)
+    return masked_mean((values - mean) ** 2, valid)
 
 
 def moments_after(
@@ -108,7 +108,7 @@ def moments_after(
     valid: Bool[Array, "trial time"],
 ) -> Float[Array, " 3"]:
     """Return running moments after one more batch."""
-    means = [mesh.mean_of_valid(power, valid) for power in (values, values**2)]
+    means = [masked_mean(power, valid) for power in (values, values**2)]
     new = jnp.stack([jnp.ones(()), *means])
     return STATISTICS_DECAY * moments + (1.0 - STATISTICS_DECAY) * new
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import Key
 from maesn.experience.agent import Agent
 from maesn.experience.episodes import Episodes, Thinning
-from maesn.numerics import AbstractDistribution, mesh
+from maesn.numerics import AbstractDistribution
 from maesn.policies import AbstractPolicy, PolicyInput
 
 
@@ -47,10 +47,10 @@ class Trials(eqx.Module):
         return policy.unroll(self.inputs, self.valid, self.z, initial_states)[0]
 
     def sample_trials(self, key: Key, stride: int) -> "Trials":
-        """Draw one in `stride` of the trials of all devices, at least one; return this device's."""
-        count = self.valid.shape[0] * mesh.num_shards()
+        """Draw one in `stride` of the trials, at least one."""
+        count = self.valid.shape[0]
         rows = jax.random.permutation(key, count)[: max(count // stride, 1)]
-        return mesh.share(mesh.gather(self), rows)
+        return jax.tree.map(lambda x: x[rows], self)
 
     def sample_steps(self, key: Key, stride: int) -> "Trials":
         """Draw every `stride`-th time step of all trials. A recurrent policy needs all steps."""

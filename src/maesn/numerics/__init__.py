@@ -17,3 +17,4 @@ from maesn.numerics.returns import trial_advantages as trial_advantages
 from maesn.numerics.ridge import ridge_regression as ridge_regression
 from maesn.numerics.ring import Ring as Ring
 from maesn.numerics.squashed_gaussian import SquashedGaussian as SquashedGaussian
+from maesn.numerics.threads import at_once as at_once

@@ -10,7 +10,6 @@ Do not differentiate through them: differentiate a device's own part, then add u
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
@@ -19,13 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Bool, Float, Int
-
-from maesn.numerics.returns import masked_mean
+from jaxtyping import Array, Bool, Float
 
 Tree = TypeVar("Tree")
-First = TypeVar("First")
-Second = TypeVar("Second")
 Function = Callable[[Any, Any], tuple[Any, Any]]
 
 AXIS = "task"
@@ -101,27 +96,6 @@ def over_tasks(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
     return found
 
 
-def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
-    """Return what two independent calls of `over_tasks` return, each computed on its own thread.
-
-    On a CPU, XLA computes a program of small products on one core. Where devices share the tasks,
-    the calls follow each other: their sums must meet in the same order on all devices. Of JAX's
-    settings in `with` blocks, the second call's thread takes over `enable_x64` alone.
-    """
-    if _mesh.get() is not None:
-        return first(), second()
-    wide = jax.config.jax_enable_x64  # type: ignore[attr-defined]
-
-    def compute() -> Second:
-        with jax.enable_x64(wide):  # a thread does not inherit it from a `with` block
-            return jax.block_until_ready(second())  # type: ignore[no-untyped-call]
-
-    with ThreadPoolExecutor(1) as pool:
-        other = pool.submit(compute)
-        own: First = jax.block_until_ready(first())  # type: ignore[no-untyped-call]
-        return own, other.result()
-
-
 @eqx.filter_jit
 def _call(function: Function, shared: Any, rows: Any) -> tuple[Any, Any]:
     return function(shared, rows)
@@ -181,37 +155,7 @@ def gather(tree: Tree) -> Tree:
     return gathered
 
 
-def share(tree: Tree, rows: Int[Array, " row"]) -> Tree:
-    """Return this device's share of some rows; without a mesh, all of them.
-
-    Every device takes equally many. If they do not divide evenly, the last shares are padded with
-    zeros, so that their `valid` is False.
-
-    Args:
-        tree: arrays with a row for each sample of all devices.
-        rows: indices of the rows to share.
-    """
-    if not _is_inside():
-        return jax.tree.map(lambda x: x[rows], tree)
-    devices = num_shards()
-    samples = jax.tree.leaves(tree)[0].shape[0]
-    size = -(-rows.shape[0] // devices)
-    filled = jnp.full(size * devices, samples).at[: rows.shape[0]].set(rows)
-    own = jax.lax.dynamic_slice(filled, (jax.lax.axis_index(AXIS) * size,), (size,))
-    return jax.tree.map(lambda x: x.at[own].get(mode="fill", fill_value=0), tree)
-
-
-def part_of_mean(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:
-    """Return this device's summand of the mean of the valid elements of all devices.
-
-    The `total` of the summands is the mean. Without a mesh this is `masked_mean`.
-    """
-    if not _is_inside():
-        return masked_mean(values, valid)
-    count = total(jnp.sum(valid, dtype=values.dtype))
-    return jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(count, 1.0)
-
-
 def mean_of_valid(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:
     """Return the mean of the valid elements of all devices."""
-    return total(part_of_mean(values, valid))
+    count = total(jnp.sum(valid, dtype=values.dtype))
+    return total(jnp.sum(jnp.where(valid, values, 0.0))) / jnp.maximum(count, 1.0)

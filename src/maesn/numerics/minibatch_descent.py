@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from maesn.numerics import mesh
 from maesn.numerics.first_order import first_order_step
 from maesn.settings import check_number, check_positive
 
@@ -58,15 +57,13 @@ class MinibatchDescent(eqx.Module):
             key: draws the minibatches.
             parameters: the parameters before the first step.
             opt_state: the result of `init` or of an earlier run.
-            loss: of parameters and a minibatch; returns extras beside it. Where devices share the
-                data (`maesn.numerics.mesh`), it is of this device's part of a minibatch, and the
-                parts of loss and extras add up.
-            data: a pytree whose arrays have a common leading axis of samples; of this device.
+            loss: of parameters and a minibatch; returns extras beside it.
+            data: a pytree whose arrays have a common leading axis of samples.
 
         Raises:
             ValueError: there are fewer samples than minibatches.
         """
-        samples = jax.tree.leaves(data)[0].shape[0] * mesh.num_shards()
+        samples = jax.tree.leaves(data)[0].shape[0]
         size = samples // self.minibatches
         if size == 0:
             raise ValueError(
@@ -75,13 +72,12 @@ class MinibatchDescent(eqx.Module):
             )
         gradient = jax.grad(loss, has_aux=True)
         transformation = self._transformation()
-        everything = mesh.gather(data)
 
         def step(
             now: tuple[Parameters, optax.OptState], rows: Array
         ) -> tuple[tuple[Parameters, optax.OptState], Auxiliary]:
             varied, opt_state = now
-            slopes, extras = mesh.total(gradient(varied, mesh.share(everything, rows)))
+            slopes, extras = gradient(varied, jax.tree.map(lambda x: x[rows], data))
             return first_order_step(transformation, varied, slopes, opt_state), extras
 
         def shuffled(epoch_key: PRNGKeyArray) -> Array:

@@ -5,8 +5,6 @@ What the arrays hold beyond them, NaN included, changes neither a result nor its
 and every result is 0 there.
 """
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -132,7 +130,6 @@ def standardize(
     values: Float[Array, "*shape"],
     valid: Bool[Array, "*shape"],
     epsilon: float = 1e-8,
-    mean: Callable[[Array, Array], Array] = masked_mean,
 ) -> Float[Array, "*shape"]:
     """Shift and scale the valid elements to mean 0 and (population) standard deviation 1.
 
@@ -145,13 +142,12 @@ def standardize(
         valid: where it is false, `values` is ignored and the result is 0.
         epsilon: ε, in the unit of `values`. The default is the one of the reference
             implementation's advantages.
-        mean: computes the mean of the valid elements; for example over all devices.
     """
-    deviation = jnp.where(valid, values, 0.0) - mean(values, valid)
+    deviation = jnp.where(valid, values, 0.0) - masked_mean(values, valid)
     # The mean is rounded, so equal values leave a common deviation of the same size as their
     # standard deviation, and their quotient would be of order 1. Centring twice removes it.
-    deviation = jnp.where(valid, deviation - mean(deviation, valid), 0.0)
-    variance = mean(deviation**2, valid)
+    deviation = jnp.where(valid, deviation - masked_mean(deviation, valid), 0.0)
+    variance = masked_mean(deviation**2, valid)
     # The derivative of sqrt at 0 is infinite, also in the branch that `where` does not select.
     is_spread = variance > 0.0
     std = jnp.where(is_spread, jnp.sqrt(jnp.where(is_spread, variance, 1.0)), 0.0)

@@ -12,12 +12,12 @@ from maesn._version import __version__
 from maesn.context import Latent
 from maesn.envs.base import AbstractMujocoEnv, AnyEnv
 from maesn.learners import AbstractFastLearner
-from maesn.runs.onnx_file import is_onnx, read_facts, write_onnx
 from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.arrays import float64
-from maesn.runtime.exported_search import ExportedSearch
+from maesn.runtime.exported import ExportedSearch
+from maesn.runtime.record import decoded, encoded
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
 from maesn.runtime.search_settings import SearchSettings
@@ -42,16 +42,12 @@ _NOTHING = Stated()
 
 
 def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
-    """Write what `exported_policy` returns as an `.npz` or `.onnx` file; an old one is replaced.
+    """Write what `exported_policy` returns as an `.npz` file; an old one is replaced.
 
-    `ValueError` says that the runtime could not read it, as of damaged latents or a damaged prior,
-    or that an ONNX file cannot be written.
+    `ValueError` says that the runtime could not read it, as of damaged latents or a damaged prior.
     """
-    ExportedPolicy.from_archive(policy.arrays(), policy.metadata())
-    if is_onnx(path):
-        write_onnx(path, policy)
-        return
-    write_snapshot(path, Snapshot(policy, None, Safeguards(), None))
+    decoded(ExportedPolicy, *encoded(policy))
+    write_snapshot(path, Snapshot(policy))
 
 
 def exported_policy(
@@ -163,6 +159,4 @@ def _control_period(env: AnyEnv, changed: set[str], stated: float | None) -> flo
 
 def exported_facts(path: str | os.PathLike[str]) -> list[tuple[str, str]]:
     """Return the table of an exported file that a person should check."""
-    if is_onnx(path):
-        return read_facts(path)
     return facts(read_snapshot(path).exported)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from maesn.runtime.actuators import clipped
-from maesn.runtime.arrays import FloatArray
+from maesn.runtime.arrays import FloatArray, LimitArray
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,8 @@ class Sensors:
     """
 
     names: tuple[str, ...]
-    lower: FloatArray
-    upper: FloatArray
+    lower: LimitArray
+    upper: LimitArray
 
     def clipped(self, observation: FloatArray) -> FloatArray:
         """Return an observation as the simulation would have shown it, `[observation]`."""

@@ -17,7 +17,6 @@ from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import RunError
 from maesn.studies.execution import AbstractExecutor, Say
-from maesn.studies.executors import ExecutorName
 from maesn.studies.members import trained_run
 from maesn.studies.spec import EvaluationSpec, LineSpec, RunSpec, ScratchSpec, StudySpec
 from maesn.studies.study import Results, Study
@@ -33,7 +32,7 @@ def compare(
     method: str | None = None,
     workers: int | None = None,
     evaluation: AnyEvaluation = USUAL,
-    executor: Annotated[ExecutorName | AbstractExecutor, tyro.conf.Suppress] = "local",
+    executor: Annotated[AbstractExecutor | None, tyro.conf.Suppress] = None,
     say: Annotated[Say, tyro.conf.Suppress] = lambda sentence: None,
 ) -> Results:
     """Adapt trained runs and methods from scratch to the same tasks, and compare them.

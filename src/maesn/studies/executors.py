@@ -1,25 +1,19 @@
-"""Where jobs are computed: in processes of this machine, or on a Ray cluster."""
+"""Where jobs are computed: in processes of this machine."""
 
 import multiprocessing
 import os
 import signal
-import sys
-import tempfile
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any, Literal
 
-from maesn.foreign.pool import PYTHON
 from maesn.runs.process import enable_compilation_cache, ending_by_signals
 from maesn.storage import RunError
 from maesn.studies.execution import AbstractExecutor
 from maesn.studies.jobs import Job, computed
-
-ExecutorName = Literal["local", "ray"]
 
 
 class LocalPool(AbstractExecutor):
@@ -95,45 +89,6 @@ def _compute(job: Job, jobs: Path) -> str | None:
             return computed(job, jobs)
     except SystemExit:
         os._exit(1)  # the pool would catch it, and wait for jobs of a parent that may be gone
-
-
-class Ray(AbstractExecutor):
-    """The Ray cluster of `RAY_ADDRESS`, else this machine. All its nodes must see `jobs`.
-
-    Each job takes as many CPUs as it has threads.
-    """
-
-    def __init__(self, workers: int, threads: int, jobs: Path) -> None:
-        try:
-            self._ray: Any = __import__("ray")
-        except ImportError as error:
-            raise RunError("the executor `ray` needs Ray: pip install -e '.[ray]'.") from error
-        local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers * threads}
-        self._ray.init(
-            log_to_driver=False, include_dashboard=False, ignore_reinit_error=True, **local
-        )
-        path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        hosts = {name: os.environ[name] for name in (PYTHON,) if name in os.environ}
-        variables = path | hosts | thread_variables(threads)
-        self._remote = self._ray.remote(_on_cluster).options(
-            num_cpus=threads, max_retries=0, runtime_env={"env_vars": variables}
-        )
-        self.slots = workers  # jobs wait in Ray's queue while no CPUs are free
-        with tempfile.NamedTemporaryFile(dir=jobs, prefix="probe-") as probe:
-            if not self._ray.get(self._remote.remote(Path.exists, Path(probe.name).resolve())):
-                raise RunError(f"the cluster must see `{jobs.resolve()}`: give a shared --out.")
-
-    def submit(self, job: Job, jobs: Path) -> Future[str | None]:
-        future: Future[str | None] = self._remote.remote(computed, job, jobs.resolve()).future()
-        return future
-
-    def close(self) -> None:
-        self._ray.shutdown()
-
-
-def _on_cluster(function: Any, *arguments: Any) -> Any:
-    enable_compilation_cache()
-    return function(*arguments)
 
 
 def thread_variables(threads: int) -> dict[str, str]:

@@ -14,7 +14,7 @@ from maesn.runs.process import ending_by_signals
 from maesn.settings import check_number
 from maesn.storage import RunError
 from maesn.studies.execution import AbstractExecutor, Execution, Say
-from maesn.studies.executors import ExecutorName, LocalPool, Ray, end_if_worker
+from maesn.studies.executors import LocalPool, end_if_worker
 from maesn.studies.manifest import files_of, write_manifest
 from maesn.studies.plan import make_plan
 from maesn.studies.reading import read_study
@@ -68,7 +68,7 @@ class Study:
         self,
         out: str | Path,
         *,
-        executor: ExecutorName | AbstractExecutor = "local",
+        executor: AbstractExecutor | None = None,
         workers: int | None = None,
         only: str | None = None,
         say: Say = lambda sentence: None,
@@ -80,8 +80,8 @@ class Study:
 
         Args:
             out: directory of jobs and results.
-            executor: where jobs are computed.
-            workers: jobs at a time; None: as many as there are CPUs for.
+            executor: computes the jobs; None: processes of this machine. It is closed at the end.
+            workers: such processes at a time; None: as many as there are CPUs for.
             only: name of the one job to compute, if those that it needs are done.
             say: receives messages of progress.
 
@@ -100,10 +100,7 @@ class Study:
         with contextlib.nullcontext() if only else storage.locked(directory), ending_by_signals():
             if only is None:
                 self.write_results(out)  # for those who ask meanwhile what there is
-            if executor == "local":
-                executor = LocalPool(at_once, self.spec.threads)
-            elif executor == "ray":
-                executor = Ray(at_once, self.spec.threads, execution.directory)
+            executor = executor or LocalPool(at_once, self.spec.threads)
             with contextlib.closing(executor):
                 say(execution.left(executor.slots))
                 execution.run(executor, say)

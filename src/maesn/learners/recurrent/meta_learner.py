@@ -24,8 +24,8 @@ from maesn.learners.trial_learner import RecurrentFastLearner
 from maesn.learners.trial_meta import AbstractTrialMetaLearner, TrialInfo, describe_trials
 from maesn.learners.trial_value import ValueState, explained_variance
 from maesn.learners.trials import Trials, join_episodes
-from maesn.numerics import mesh, standardize
-from maesn.numerics.mesh import at_once, check_split, over_tasks
+from maesn.numerics import at_once, standardize
+from maesn.numerics.mesh import refuse_sharing
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
 
@@ -97,7 +97,7 @@ class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, Recurren
         return (type(self), type(self.policy_step))
 
     def check_batch(self, episodes_per_task: int) -> None:
-        check_split(self.meta_batch_size)
+        refuse_sharing("rl2")
         super().check_batch(episodes_per_task)
 
     def fast_learner(self, state: RecurrentMetaState) -> RecurrentFastLearner:
@@ -107,42 +107,39 @@ class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, Recurren
         self, key: Key, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
     ) -> tuple[RecurrentMetaState, RecurrentInfo]:
         policy_key, value_key = jax.random.split(key)
-        _, judged = over_tasks(self._judge, state, episodes)
-        (improved, _), (fitted, _) = at_once(
-            partial(over_tasks, self._improve_policy, (policy_key, state), judged),
-            partial(over_tasks, self._fit_value, (value_key, state), judged),
+        judged = self._judge(state, episodes)
+        (policy, opt_state, step), (value, accepted) = at_once(
+            partial(self._improve_policy, policy_key, state, judged),
+            partial(self._fit_value, value_key, state, judged),
         )
-        (policy, opt_state, step), (value, accepted) = improved, fitted
-        info, _ = over_tasks(_describe, (accepted, step), (episodes, judged))
+        info = _describe(episodes, judged, accepted, step)
         return RecurrentMetaState(policy, opt_state, value, state.iteration + 1), info
 
-    # `over_tasks` runs the following.
-    def _judge(
-        self, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
-    ) -> tuple[None, "_Judged"]:
+    @eqx.filter_jit
+    def _judge(self, state: RecurrentMetaState, episodes: tuple[Episodes, ...]) -> "_Judged":
         trials = join_episodes(episodes)
         expected = self.value.values(state.value, self._seen(state, trials))
-        return None, _Judged(trials, self.advantages(trials, expected), expected)
+        return _Judged(trials, self.advantages(trials, expected), expected)
 
+    @eqx.filter_jit
     def _improve_policy(
-        self, shared: tuple[Key, RecurrentMetaState], judged: "_Judged"
-    ) -> tuple[tuple[AbstractPolicy, Any, Any], None]:
-        key, state = shared
+        self, key: Key, state: RecurrentMetaState, judged: "_Judged"
+    ) -> tuple[AbstractPolicy, Any, Any]:
         trials, advantages, _ = judged
-        standard = standardize(advantages, trials.valid, mean=mesh.mean_of_valid)
+        standard = standardize(advantages, trials.valid)
         policy, opt_state, step = self.policy_step(
             key, state.policy, state.opt_state, trials, standard
         )
         policy = self.policy.after_iteration(policy, state.iteration + 1)
-        return (policy, opt_state, step), None
+        return policy, opt_state, step
 
+    @eqx.filter_jit
     def _fit_value(
-        self, shared: tuple[Key, RecurrentMetaState], judged: "_Judged"
-    ) -> tuple[tuple[ValueState, Bool[Array, ""]], None]:
-        key, state = shared
+        self, key: Key, state: RecurrentMetaState, judged: "_Judged"
+    ) -> tuple[ValueState, Bool[Array, ""]]:
         trials, advantages, expected = judged
         seen = self._seen(state, trials)
-        return self.value.fit(key, state.value, seen, advantages + expected), None
+        return self.value.fit(key, state.value, seen, advantages + expected)
 
     @staticmethod
     def _seen(state: RecurrentMetaState, trials: Trials) -> Trials:
@@ -157,11 +154,14 @@ class _Judged(NamedTuple):
     expected: Float[Array, "trial time"]
 
 
-def _describe(shared: Any, rows: Any) -> tuple[RecurrentInfo, None]:
-    (value_accepted, policy_step), (episodes, (trials, advantages, expected)) = shared, rows
+@eqx.filter_jit
+def _describe(
+    episodes: tuple[Episodes, ...], judged: _Judged, value_accepted: Bool[Array, ""], step: Any
+) -> RecurrentInfo:
+    trials, advantages, expected = judged
     return RecurrentInfo(
         **describe_trials(episodes, trials),
         explained_variance=explained_variance(advantages, expected, trials.valid),
         value_accepted=value_accepted,
-        policy_step=policy_step,
-    ), None
+        policy_step=step,
+    )

@@ -1,48 +1,33 @@
 """An exported policy as an ONNX file, for robots that are not programmed in Python.
 
+    pip install onnx
+    maesn export wheeled policy.npz
+    python examples/policy_to_onnx.py policy.npz policy.onnx
+
 The network takes `observation` and `z`, `[batch, ...]` each. It returns `control`, what the
 actuators are sent at the mean action, and this `action` itself, for those who add noise to explore.
 """
 
 import json
 import os
-from importlib import import_module
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
+from numpy.typing import NDArray
 
-from maesn.runtime import ExportedPolicy
-from maesn.runtime.archive import write_whole
-from maesn.runtime.arrays import FloatArray
-from maesn.runtime.policy import Weights
-from maesn.runtime.table import facts
+from maesn.runtime import Explorer, ExportedPolicy, facts
 
-SUFFIX = ".onnx"
 # Old enough for the runtimes of the last years; the operators are older still.
 _OPSET, _IR_VERSION = 17, 8
-_FACTS = "facts"
-
-NO_SEARCH = (
-    "an ONNX file is a network, which cannot search: leave out `rule`, and give the latents of an "
-    "adaptation, or search with the `.npz` file."
-)
-
-
-def is_onnx(path: str | os.PathLike[str]) -> bool:
-    """Whether a path names an ONNX file."""
-    return os.fspath(path).lower().endswith(SUFFIX)
 
 
 def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
-    """Write a policy as an ONNX file, with all that a robot must know as metadata, in JSON.
-
-    `ValueError` says that the policy searches, which a network cannot, or that `onnx` is missing.
-    """
-    if exported.search is not None:
-        raise ValueError(NO_SEARCH)
-    onnx = _onnx()
+    """Write a policy as an ONNX file, with all that a robot must know as metadata, in JSON."""
     model = onnx.helper.make_model(
-        _graph(onnx, exported),
+        _graph(exported),
         opset_imports=[onnx.helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
         producer_name="maesn",
@@ -50,20 +35,7 @@ def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
     texts = {name: json.dumps(value) for name, value in _metadata(exported).items()}
     onnx.helper.set_model_props(model, texts)
     onnx.checker.check_model(model, full_check=True)
-    write_whole(path, model.SerializeToString())
-
-
-def read_facts(path: str | os.PathLike[str]) -> list[tuple[str, str]]:
-    """Return the table for people that an ONNX file holds; OSError if it cannot be opened."""
-    properties = {one.key: one.value for one in _onnx().load(os.fspath(path)).metadata_props}
-    return [(what, value) for what, value in json.loads(properties[_FACTS])]
-
-
-def _onnx() -> Any:
-    try:
-        return import_module("onnx")
-    except ImportError as error:
-        raise ValueError("an ONNX file needs onnx: pip install -e '.[onnx]'.") from error
+    Path(path).write_bytes(model.SerializeToString())
 
 
 def _metadata(exported: ExportedPolicy) -> dict[str, Any]:
@@ -87,11 +59,11 @@ def _metadata(exported: ExportedPolicy) -> dict[str, Any]:
         "is_noisy": dict(exported.is_noisy),
         # JSON has no infinity.
         **{name: [x if np.isfinite(x) else None for x in held] for name, held in arrays.items()},
-        _FACTS: facts(exported),
+        "facts": facts(exported),
     }
 
 
-def _graph(onnx: Any, exported: ExportedPolicy) -> Any:
+def _graph(exported: ExportedPolicy) -> Any:
     """Return the network: a = mlp([o, z]), and clip(offset + scale * a, lower, upper)."""
     helper = onnx.helper
     nodes: list[Any] = []
@@ -108,7 +80,7 @@ def _graph(onnx: Any, exported: ExportedPolicy) -> Any:
         nodes.append(helper.make_node(operator, names, [result], **attributes))
         return result
 
-    def clip(value: str, lower: FloatArray, upper: FloatArray) -> str:
+    def clip(value: str, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> str:
         return add("Min", add("Max", value, _inside(lower, upper)), _inside(upper, lower))
 
     seen = clip("observation", exported.sensors.lower, exported.sensors.upper)
@@ -136,8 +108,17 @@ def _graph(onnx: Any, exported: ExportedPolicy) -> Any:
     )
 
 
-def _inside(limit: FloatArray, other: FloatArray) -> Weights:
+def _inside(limit: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return a limit in single precision that does not lie beyond it."""
     single = limit.astype(np.float32)
     outside = np.where(other > limit, single < limit, single > limit)
     return np.where(outside, np.nextafter(single, other.astype(np.float32)), single)
+
+
+if __name__ == "__main__":
+    source, target = sys.argv[1:]
+    policy = Explorer.load(source).exported
+    if policy.search is not None:
+        sys.exit("a network cannot search: export without `--rule`, and with `--latents`.")
+    write_onnx(target, policy)
+    print(*(f"{what:20s} {value}" for what, value in facts(policy)), target, sep="\n")

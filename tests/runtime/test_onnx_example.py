@@ -1,6 +1,7 @@
 """The ONNX file computes what the NumPy runtime does, and says what a robot must know."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,20 +13,16 @@ from runtime.robot import fast_learner
 from runtime.test_limits import Driven, Odd
 from runtime.test_search import PRIOR
 
-from maesn import api, cli
+from maesn import cli
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point, Wheeled
-from maesn.learners import rl2
-from maesn.policies import Recurrent
-from maesn.runs.config import RunSettings
 from maesn.runs.export import exported_policy, write_policy
-from maesn.runs.run import Run
 from maesn.runtime import Explorer
 from maesn.runtime.search_settings import SearchSettings
-from maesn.storage import RunError
 
-onnx = pytest.importorskip("onnx", reason="needs onnx: pip install -e '.[onnx]'")
+onnx = pytest.importorskip("onnx", reason="needs onnx: pip install onnx")
 ort = pytest.importorskip("onnxruntime", reason="needs onnxruntime: pip install onnxruntime")
+example = pytest.importorskip("policy_to_onnx")
 
 START = Latent(jnp.asarray([0.5, -1.0]), jnp.asarray([-0.25, 0.125]))
 
@@ -37,7 +34,7 @@ def session(path: Path) -> Any:
 @pytest.mark.parametrize("env", [Point(), Wheeled(), Odd(), Driven(reach=0.25)])
 def test_the_network_is_the_runtime(env: AnyEnv, tmp_path: Path) -> None:
     exported = exported_policy(fast_learner(env), env, {})
-    write_policy(tmp_path / "policy.onnx", exported)
+    example.write_onnx(tmp_path / "policy.onnx", exported)
     network, generator = session(tmp_path / "policy.onnx"), np.random.default_rng(0)
     explorer = Explorer(exported, seed=1)
     wanted, seen, latents = [], [], []
@@ -59,7 +56,7 @@ def test_the_network_is_the_runtime(env: AnyEnv, tmp_path: Path) -> None:
 
 def test_the_file_says_what_a_robot_must_know(tmp_path: Path) -> None:
     env, path = Odd(), tmp_path / "policy.onnx"
-    write_policy(path, exported_policy(fast_learner(env), env, {"task": 7}, (START, 3)))
+    example.write_onnx(path, exported_policy(fast_learner(env), env, {"task": 7}, (START, 3)))
     texts = session(path).get_modelmeta().custom_metadata_map
     said = {name: json.loads(text) for name, text in texts.items()}
     assert said["observations"] == [""] * 6  # it names none
@@ -73,38 +70,20 @@ def test_the_file_says_what_a_robot_must_know(tmp_path: Path) -> None:
     assert said["is_noisy"] == {"explore": True, "deploy": False}
 
 
-def test_what_is_no_network_of_observation_and_z_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, point = tmp_path / "policy.onnx", Point()
-    search = exported_policy(fast_learner(), point, {}, search=(PRIOR, SearchSettings()))
-    with pytest.raises(ValueError, match="a network, which cannot search"):
-        write_policy(path, search)
-    settings = RunSettings(family="point", episodes_per_task=2)
-    learner = rl2(policy=Recurrent(hidden_size=4, readout_sizes=(4,)), meta_batch_size=4)
-    recurrent = Run.create(tmp_path / "rl2", learner, settings)
-    with pytest.raises(RunError, match="has no form that the runtime can act with"):
-        api.export(recurrent.directory, path)
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ValueError, match=r"pip install -e '\.\[onnx\]'"):
-        write_policy(path, exported_policy(fast_learner(), point, {}))
-    assert not path.exists()
-
-
-def test_the_command_writes_it_and_shows_the_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "wheeled.onnx"
-    assert cli.run(["export", "wheeled", str(path), "--upper", "1.5"]) == 0
-    said = capsys.readouterr().out
-    assert "right_motor, 2 * action, limits -2 to 1.5" in said
-    assert "control period       0.01 s" in said
+def test_the_program_converts_an_exported_file_and_refuses_a_search(tmp_path: Path) -> None:
+    source, target = str(tmp_path / "wheeled.npz"), tmp_path / "wheeled.onnx"
+    assert cli.run(["export", "wheeled", source, "--upper", "1.5"]) == 0
+    program = [sys.executable, example.__file__]
+    done = subprocess.run(
+        [*program, source, str(target)], check=True, capture_output=True, text=True
+    )
+    assert "right_motor, 2 * action, limits -2 to 1.5" in done.stdout
     feed = {"observation": np.zeros((1, 12), np.float32), "z": np.full((1, 2), 9.0, np.float32)}
-    assert session(path).run(None, feed)[0].max() <= 1.5
-    assert cli.run(["export", "wheeled", str(path)]) != 0  # it is not replaced
-    each = ["--lower", "-1", "-0.5", "--upper=inf", "--overwrite"]
-    assert cli.run(["export", "wheeled", str(path), *each]) == 0
-    assert "left_motor, 2 * action, limits -0.5 to 2" in capsys.readouterr().out
-    for wrong in (["--lower"], ["--lower", "x"]):
-        with pytest.raises(SystemExit):
-            cli.run(["export", "wheeled", str(path), *wrong])
+    assert session(target).run(None, feed)[0].max() <= 1.5
+    search = exported_policy(fast_learner(), Point(), {}, search=(PRIOR, SearchSettings()))
+    write_policy(source, search)
+    done = subprocess.run(
+        [*program, source, str(target)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0
+    assert "a network cannot search" in done.stderr
