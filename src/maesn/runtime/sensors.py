@@ -11,7 +11,7 @@ class Sensors:
     """The components of an observation, in the policy's order.
 
     Attributes:
-        names: what each component is, as far as it is known.
+        names: what each component is called; "" where it has no name.
         lower: what training clipped each component to from below; -inf if it did not.
         upper: the same from above; inf if it did not.
     """
