@@ -24,6 +24,13 @@ BARE = """
   </worldbody>
 </mujoco>
 """
+FLOATING = """
+<mujoco>
+  <worldbody>
+    <body pos="0 0 -0.7"><joint type="slide" axis="1 0 0"/><geom size="0.2" mass="1"/></body>
+  </worldbody>
+</mujoco>
+"""
 
 
 def arranged(model: str | Path, view: View = VIEW, aspect: float = 1.5, **given: object) -> object:
@@ -58,6 +65,20 @@ def test_the_camera_sees_the_view_and_hardly_more(view: View, aspect: float) -> 
     seen = np.abs([way @ right / (depth * slope * aspect), way @ eye.up / (depth * slope)])
     assert (depth > 0).all()
     assert 0.85 < seen.max() < 1.0
+
+
+def test_a_model_without_floor_and_light_gets_both(bare: Path) -> None:
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    (floor,) = shapes(arranged(FLOATING), plane)
+    assert floor.pos[2] == pytest.approx(-0.7 - 0.2)
+    assert len(shapes(arranged(bare), plane)) == 1  # its own
+    lit, dark = load_model("wheeled"), load_model(FLOATING)
+    for model in (lit, dark):
+        _Arrangement(model, VIEW, 1.0)
+    assert dark.vis.headlight.diffuse[0] > load_model(FLOATING).vis.headlight.diffuse[0]
+    np.testing.assert_array_equal(
+        lit.vis.headlight.diffuse, load_model("wheeled").vis.headlight.diffuse
+    )
 
 
 @pytest.mark.parametrize("model", ["wheeled", "ant", "blockpush", "point"])

@@ -18,6 +18,8 @@ _GOAL_COLOUR = (0.16, 0.63, 0.36, 1.0)
 _REGION_COLOUR = (0.16, 0.63, 0.36, 0.18)
 _MATERIALS = {"goal": _GOAL_COLOUR, "reach": _REGION_COLOUR}  # of a model's own marker
 _GLOW = 0.6  # without it the disc is grey in the shade
+_FLOOR_COLOUR = (0.9, 0.9, 0.91, 1.0)
+_BRIGHT = 0.6  # of the light from the camera, for models that have no light of their own
 _TRAIL_COLOUR = (0.3, 0.05, 0.45, 1.0)
 _WAY_COLOUR = (0.04, 0.04, 0.04, 1.0)
 _TRAIL_WIDTH, _WAY_WIDTH = 3.0, 1.5  # pixels
@@ -104,6 +106,9 @@ class _Arrangement:
         self._options = mujoco.MjvOption()
         self._side = 1.0 if view is None else float(np.ptp(view, axis=0).max())
         self._marker = _GoalMarker(model, _GOAL_SHARE * self._side)
+        self._has_floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
+        if not model.nlight:
+            model.vis.headlight.ambient[:] = model.vis.headlight.diffuse[:] = _BRIGHT
 
     def of(self, qpos: np.ndarray, marks: Marks | None = None) -> Any:
         """Return the scene of one state."""
@@ -117,6 +122,10 @@ class _Arrangement:
         )  # fmt: skip
         if marks is not None:
             self._marker.add_to(self._scene, marks)
+            if not self._has_floor:
+                lowest = (self._data.geom_xpos[:, 2] - self._model.geom_rbound).min(initial=0.0)
+                size, place = (10 * self._side, 10 * self._side, 0.1), (*marks.goal, lowest)
+                _shape(self._scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, _FLOOR_COLOUR)
             height = self._marker.height(self._data) + _LINE_SHARE * self._side
             way = np.stack([marks.judged, marks.goal])
             _add_line(self._scene, way, height, _WAY_WIDTH, _WAY_COLOUR)
