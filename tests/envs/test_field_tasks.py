@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from playing import agents, play
 
-from maesn.envs.grid_navi import GridNavi, goal_cells, grid_navi
-from maesn.envs.sparse_point import SparsePoint, grid_goals, sparse_point
+from maesn.envs import GridNavi, SparsePoint, grid_navi, sparse_point
+from maesn.envs.grid_navi import goal_cells
+from maesn.envs.sparse_point import grid_goals
 
 
 def oyster_step(

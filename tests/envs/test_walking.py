@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from maesn import cli
-from maesn.envs import find_family
-from maesn.envs.cheetah import Body, CheetahBody, cheetah_body, cheetah_dir, drawn_velocities
+from maesn.envs import Body, CheetahBody, cheetah_body, cheetah_dir, find_family
+from maesn.envs.cheetah import drawn_velocities
 from maesn.physics import NativeSimulator, load_model
 
 V5 = {
