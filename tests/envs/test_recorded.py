@@ -47,7 +47,7 @@ def test_changed_defaults_change_nothing_and_overrides_win() -> None:
     assert {"control_period": 0.01, "frame_skip": 1, "control_cost": 0.05}.items() <= record.items()
     env = rebuild_env(wheeled, record, reward_kind="sparse", sparse_radius=2.0)
     assert env == Wheeled(reward_kind="sparse", sparse_radius=2.0, horizon=7)
-    with pytest.raises(ValueError, match="`radius` is not a field of `wheeled`: choose from"):
+    with pytest.raises(ValueError, match="`wheeled` cannot be made as recorded"):
         rebuild_env(wheeled, record, radius=2.0)
 
 

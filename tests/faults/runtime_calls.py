@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from faults.material import Material
 from faults.table import CLEAR, CONTINUED, LOSS, TRACEBACK, Findings, is_of_tests
+from runtime.robot import contents
 
 from maesn.runtime import Explorer, Safeguards
 
@@ -34,11 +35,11 @@ def _call(
     call = _usual(stream, explorer)
     if stream.random() < 0.25:
         call = stream.choices(list(CALL_WEIGHTS), list(CALL_WEIGHTS.values()))[0]
-    before, what = _state(explorer), f"{call.__name__}: "
+    before, what = contents(explorer), f"{call.__name__}: "
     try:
         after, wrong = call(stream, explorer, directory)
     except (ValueError, RuntimeError, OSError) as error:
-        changed = _state(explorer) != before
+        changed = contents(explorer) != before
         findings.add(LOSS if changed else CLEAR, f"{what} changed what it refused: {error!r}")
         return explorer
     except Exception as error:  # noqa: BLE001
@@ -180,7 +181,7 @@ def add_result(stream: random.Random, explorer: Explorer, _: Path) -> Answer:
 def save_and_load(_: random.Random, explorer: Explorer, directory: Path) -> Answer:
     explorer.save(directory / "saved.npz")
     loaded = Explorer.load(directory / "saved.npz")
-    return loaded, "" if _state(loaded) == _state(explorer) else "another state was loaded"
+    return loaded, "" if contents(loaded) == contents(explorer) else "another state was loaded"
 
 
 def tighten(stream: random.Random, explorer: Explorer, directory: Path) -> Answer:
@@ -202,10 +203,3 @@ CALL_WEIGHTS: dict[Call, float] = {
     save_and_load: 2,
     tighten: 0.5,
 }
-
-
-def _state(explorer: Explorer) -> Any:
-    """All that a refused call must leave as it was."""
-    arrays = explorer._state.arrays(explorer.exported)
-    kept = {name: (array.shape, array.tobytes()) for name, array in arrays.items()}
-    return kept, str(explorer._state.metadata()), str(explorer._generator.bit_generator.state)

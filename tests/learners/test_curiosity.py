@@ -55,12 +55,6 @@ def test_steps_beyond_the_end_or_without_a_finite_successor_do_not_count() -> No
     np.testing.assert_array_equal(transitions(ended).valid, [True, True, False, False])
 
 
-def test_episodes_without_next_observations_are_refused() -> None:
-    blind = linear_episodes(0, (2,), 6).every(2, 0)
-    with pytest.raises(ValueError, match="observation after every step, 4 for 3 steps, got 3"):
-        transitions(blind)
-
-
 def exact_posterior(inputs: np.ndarray, targets: np.ndarray, curiosity: CuriosityBonus) -> tuple:
     """Means of Bayesian linear regression, and the best independent standard deviations.
 

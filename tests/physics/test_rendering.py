@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pictures import assert_says_what_to_install, drawn
 
-from maesn.physics import Renderer, RenderingError, View, footprint, load_model
+from maesn.physics import Marks, Renderer, RenderingError, View, load_model
 from maesn.physics.rendering import _Arrangement
 
 VIEW = View((-2.5, -0.4), (2.5, 2.6))
@@ -35,9 +35,8 @@ FLOATING = """
 
 def arranged(model: str | Path, view: View = VIEW, aspect: float = 1.5, **given: object) -> object:
     compiled = load_model(model)
-    goal = np.array([-1.0, 1.5])
-    values = {"qpos": np.zeros(compiled.nq), "goal": goal, "radius": 0.7, "way": NOWHERE} | given
-    return _Arrangement(compiled, view, aspect).of(**{"trail": NOWHERE} | values)
+    marks = Marks(goal=np.array([-1.0, 1.5]), radius=0.7, judged=np.zeros(2), trail=NOWHERE)
+    return _Arrangement(compiled, view, aspect).of(compiled.qpos0, marks._replace(**given))
 
 
 def shapes(scene: object, kind: mujoco.mjtGeom) -> list[object]:
@@ -68,46 +67,6 @@ def test_the_camera_sees_the_view_and_hardly_more(view: View, aspect: float) -> 
     assert 0.85 < seen.max() < 1.0
 
 
-@pytest.mark.parametrize("model", ["wheeled", "ant", "blockpush", "point"])
-def test_the_marker_of_a_model_is_moved_to_the_goal(model: str) -> None:
-    compiled = load_model(model)
-    scene = arranged(model, qpos=mujoco.MjData(compiled).qpos)
-    sites = {
-        mujoco.mj_id2name(compiled, mujoco.mjtObj.mjOBJ_SITE, geom.objid): geom
-        for geom in scene.geoms[: scene.ngeom]
-        if geom.objtype == mujoco.mjtObj.mjOBJ_SITE
-    }
-    np.testing.assert_allclose(sites["goal"].pos[:2], [-1.0, 1.5], atol=1e-6)
-    np.testing.assert_allclose(sites["goal_region"].pos[:2], [-1.0, 1.5], atol=1e-6)
-    np.testing.assert_allclose(sites["goal_region"].size[:2], 0.7, rtol=1e-6)
-
-
-def test_a_model_without_marker_gets_one(bare: Path) -> None:
-    disc = shapes(arranged(bare), mujoco.mjtGeom.mjGEOM_CYLINDER)[-1]
-    np.testing.assert_allclose(disc.pos[:2], [-1.0, 1.5])
-    np.testing.assert_allclose(disc.size[:2], 0.7, rtol=1e-6)
-
-
-def test_lines_join_the_places_on_the_floor() -> None:
-    way, trail = np.array([[0.0, 0.0], [3.0, 4.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
-    for model, floor in (("wheeled", 0.0), ("blockpush", -0.325)):
-        lines = shapes(arranged(model, way=way, trail=trail), mujoco.mjtGeom.mjGEOM_LINE)
-        # MuJoCo keeps a line as its start and its length.
-        np.testing.assert_allclose([line.pos[:2] for line in lines], [[0, 0], [0, 0], [1, 0]])
-        np.testing.assert_allclose([line.size[2] for line in lines], [5.0, 1.0, 2.0], rtol=1e-6)
-        np.testing.assert_allclose([line.pos[2] for line in lines], floor, atol=0.03)
-
-
-def test_a_ring_marks_what_has_to_reach_the_goal() -> None:
-    way = np.array([[0.5, 0.25], [3.0, 4.0]])
-    plain, ringed = (arranged("blockpush", way=way, ringed=ringed) for ringed in (False, True))
-    line = mujoco.mjtGeom.mjGEOM_LINE
-    corners = np.array([shape.pos[:2] for shape in shapes(ringed, line)[1:]])
-    assert len(shapes(plain, line)) == 1
-    # Its radius is a share of what the camera sees, here 5 m.
-    np.testing.assert_allclose(np.linalg.norm(corners - way[0], axis=1), 0.035 * 5.0, rtol=1e-5)
-
-
 def test_a_model_without_floor_and_light_gets_both(bare: Path) -> None:
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     (floor,) = shapes(arranged(FLOATING), plane)
@@ -122,9 +81,35 @@ def test_a_model_without_floor_and_light_gets_both(bare: Path) -> None:
     )
 
 
-def test_the_footprint_covers_what_moves(bare: Path) -> None:
-    box = footprint(bare, np.array([[0.0], [2.0]]))
-    np.testing.assert_allclose([box.lower, box.upper], [[0.3, -0.2], [2.7, 0.2]])
+@pytest.mark.parametrize("model", ["wheeled", "ant", "blockpush", "point"])
+def test_the_marker_of_a_model_is_moved_to_the_goal(model: str) -> None:
+    compiled = load_model(model)
+    scene = arranged(model)
+    sites = {
+        mujoco.mj_id2name(compiled, mujoco.mjtObj.mjOBJ_SITE, geom.objid): geom
+        for geom in scene.geoms[: scene.ngeom]
+        # Nothing says what a line belongs to.
+        if geom.objtype == mujoco.mjtObj.mjOBJ_SITE and geom.type != mujoco.mjtGeom.mjGEOM_LINE
+    }
+    np.testing.assert_allclose(sites["goal"].pos[:2], [-1.0, 1.5], atol=1e-6)
+    np.testing.assert_allclose(sites["goal_region"].pos[:2], [-1.0, 1.5], atol=1e-6)
+    np.testing.assert_allclose(sites["goal_region"].size[:2], 0.7, rtol=1e-6)
+
+
+def test_a_model_without_marker_gets_one(bare: Path) -> None:
+    disc = shapes(arranged(bare), mujoco.mjtGeom.mjGEOM_CYLINDER)[-1]
+    np.testing.assert_allclose(disc.pos[:2], [-1.0, 1.5])
+    np.testing.assert_allclose(disc.size[:2], 0.7, rtol=1e-6)
+
+
+def test_lines_join_the_places_on_the_floor() -> None:
+    goal, trail = np.array([3.0, 4.0]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    for model, floor in (("wheeled", 0.0), ("blockpush", -0.325)):
+        lines = shapes(arranged(model, goal=goal, trail=trail), mujoco.mjtGeom.mjGEOM_LINE)
+        # MuJoCo keeps a line as its start and its length.
+        np.testing.assert_allclose([line.pos[:2] for line in lines], [[0, 0], [0, 0], [1, 0]])
+        np.testing.assert_allclose([line.size[2] for line in lines], [5.0, 1.0, 2.0], rtol=1e-6)
+        np.testing.assert_allclose([line.pos[2] for line in lines], floor, atol=0.03)
 
 
 def test_pictures_show_the_goal_where_it_is_or_the_refusal_says_what_to_install() -> None:
@@ -133,7 +118,8 @@ def test_pictures_show_the_goal_where_it_is_or_the_refusal_says_what_to_install(
         return
     places = []
     for x in (-1.5, 1.5):
-        picture = renderer.draw(np.zeros(6), np.array([x, 1.8]), 0.5, np.zeros(2)).astype(int)
+        marks = Marks(np.array([x, 1.8]), 0.5, np.zeros(2), NOWHERE)
+        picture = renderer.draw(np.zeros(6), marks).astype(int)
         green = (picture[..., 1] > picture[..., 0] + 40) & (picture[..., 1] > picture[..., 2])
         places.append(np.argwhere(green).mean(0))
     (up, left), (same, right) = places
@@ -145,7 +131,7 @@ def test_pictures_show_the_goal_where_it_is_or_the_refusal_says_what_to_install(
     renderer.close()
     renderer.close()
     with pytest.raises(RuntimeError, match="the renderer is closed"):
-        renderer.draw(np.zeros(6), np.zeros(2), 0.5, np.zeros(2))
+        renderer.draw(np.zeros(6))
 
 
 def test_without_a_library_one_sentence_names_what_to_install(

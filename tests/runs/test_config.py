@@ -182,7 +182,7 @@ CONTRADICTIONS = [
     ),
     ("readings", with_method(Wheeled, readings=("qpos", "qvel", "xspeed"))),
     ("control", with_method(Wheeled, control=lambda self, action: jnp.zeros(3))),
-    ("control", with_method(Wheeled, control=lambda self, action: action * jnp.ones(3))),
+    ("model_fields", with_method(Point, model_fields=lambda self, task: {"mass": jnp.ones(1)})),
     (
         "action_size",
         partial(with_method(Wheeled, control=lambda self, action: 2 * action), action_size=3),

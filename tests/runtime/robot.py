@@ -1,6 +1,9 @@
 """A cast for the tests of the runtime: a learner with odd numbers, and episodes of a mock robot."""
 
+import functools
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,8 @@ from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.policies import GaussianMLP
 from maesn.runs.export import Stated, exported_policy, write_policy
 from maesn.runtime import Explorer
+from maesn.runtime.record import encoded
+from maesn.runtime.storage import Snapshot
 
 LATENT_SIZE = 2
 STEPS = 5
@@ -72,10 +77,28 @@ def constant(reward: float, steps: int = STEPS) -> Rewards:
 
 def contents(explorer: Explorer) -> dict[str, Any]:
     """All that an explorer holds, in a form that can be compared."""
-    arrays = explorer._state.arrays(explorer.exported) | explorer.exported.arrays()
-    return {
-        **{name: array.tolist() for name, array in arrays.items()},
-        **explorer._state.metadata(),
-        "random_state": explorer._generator.bit_generator.state,
-        "safeguards": explorer.safeguards,
-    }
+    random_state = explorer._generator.bit_generator.state
+    state, search = replace(explorer._state, search=None), explorer._state.search
+    history = None if search is None else search.history
+    arrays, document = encoded(
+        Snapshot(explorer.exported, state, explorer.safeguards, random_state, history)
+    )
+    return {"document": document} | {name: array.tolist() for name, array in arrays.items()}
+
+
+def altered(path: Path, name: str, value: Any) -> Path:
+    """A file with another array, or entry of its metadata, of that name; without it for None."""
+    with np.load(path) as archive:
+        entries = {one: archive[one] for one in archive.files}
+    metadata = json.loads(str(entries["metadata"]))
+    if value is None and name in entries:
+        del entries[name]
+    elif isinstance(value, np.ndarray):
+        entries[name] = value
+    else:
+        *parents, last = name.split(".")
+        functools.reduce(dict.__getitem__, parents, metadata)[last] = value
+        entries["metadata"] = np.array(json.dumps(metadata))
+    other = path.with_stem("altered")
+    np.savez(other, **entries)
+    return other

@@ -1,14 +1,16 @@
 """Which latents a search plays and deploys; on the robot and in the library alike."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.transitions import episodes_of
-from runtime.robot import contents, fast_learner, observations
+from runtime.robot import altered, contents, fast_learner, observations
 
 from maesn.envs import Point
 from maesn.runs.export import exported_policy, write_policy
@@ -144,14 +146,10 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def searcher(path: Path, prior: ReturnPrior) -> Path:
-    kept = {name: getattr(prior, name).astype(np.float32).astype(np.float64) for name in ARRAYS}
-    levels = {"proposed_levels": [0.1, 0.9], "deployed_levels": [0.02, 0.8]}
-    search = (replace(prior, **kept, **levels), SearchSettings())
+    levels = {"proposed_levels": (0.1, 0.9), "deployed_levels": (0.02, 0.8)}
+    search = (replace(prior, **levels), SearchSettings())
     write_policy(path, exported_policy(fast_learner(), Point(), {}, search=search))
     return path
-
-
-ARRAYS = ("latents", "excess", "noise")
 
 
 def episode(explorer: Explorer, value: float, steps: int = Point().horizon) -> None:
@@ -278,6 +276,36 @@ def test_a_robot_s_search_is_saved_in_the_middle_and_goes_on_exactly(
     second += robot_searched(parts, target, 5)
     assert first == second
     assert contents(whole) == contents(parts)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("history", None, "`history` is missing"),
+        ("history.added", np.zeros((2, 2)), "`SearchHistory.added` must have the shape"),
+        ("history.added_after", [7], "`added_after` must count up to 1 readings"),
+        ("history.readings", [{"point": 99, "episode_return": 0, "length": 1}], "`readings` name"),
+        ("history.readings", [{"point": 0, "episode_return": math.inf, "length": 1}], "finite"),
+        ("state.proposed", [99], "name points that are not there"),
+        ("exported.search.horizon", 0, "`horizon` must be at least 1"),
+        ("exported.search.prior.latents", np.zeros((80, 3)), "`ReturnPrior.latents` must have"),
+        ("exported.search.prior.noise", np.zeros(()), "`exported.search.prior` is damaged"),
+        ("exported.search.prior.proposed_levels", [0.5], "`exported.search.prior` is damaged"),
+        ("exported.search.settings.draws", 0.5, "`exported.search.settings.draws` must be of type"),
+    ],
+)
+def test_a_file_of_another_search_is_refused(
+    policy: Path, tmp_path: Path, name: str, value: Any, message: str
+) -> None:
+    explorer = Explorer.load(policy, seed=9)
+    robot_searched(explorer, np.asarray([0.5, 3.0]), 1)
+    explorer.begin_episode(z=[0.5, 3.0])
+    explorer.discard()
+    explorer.propose(2)
+    explorer.save(tmp_path / "saved.npz")
+    assert Explorer.load(tmp_path / "saved.npz").beliefs.latents.shape == (81, 2)
+    with pytest.raises(ValueError, match=message):
+        Explorer.load(altered(tmp_path / "saved.npz", name, value))
 
 
 def test_a_chosen_z_takes_part(policy: Path) -> None:

@@ -24,6 +24,7 @@ from maesn.rules import SearchRule
 from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
 from maesn.runtime import Explorer, facts
+from maesn.runtime.return_model import NOMINAL
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import read_prior, run_prior
 from maesn.storage import RunError
@@ -63,6 +64,15 @@ def test_the_prior_says_what_training_tasks_return(trained: Path) -> None:
     assert -4 < np.median(prior.excess) < 0
     assert prior.offset_mean == pytest.approx(-2.0 * 40, rel=1e-3)
     assert set(bound) == {"checkpoint", "training task set", "reward", "action noise", "numbers"}
+
+
+def test_a_prior_without_levels_as_they_once_were_is_read(trained: Path, tmp_path: Path) -> None:
+    values, metadata = read_checkpoint(trained / FILE)
+    numbers = json.loads(metadata["numbers"])
+    kept = {name: x for name, x in numbers.items() if not name.endswith("levels")}
+    save_checkpoint(tmp_path / "older", values, metadata | {"numbers": json.dumps(kept)})
+    older = read_prior(tmp_path / "older")[0]
+    assert older.proposed_levels == older.deployed_levels == NOMINAL
 
 
 def test_a_prior_plays_no_more_episodes_at_once_than_the_world_can_hold(

@@ -52,15 +52,14 @@ from jaxtyping import Array, Bool, Float
 from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, Reward, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
-from maesn.envs.reaching import AbstractReaching, Goal
+from maesn.envs.reaching import GOAL_RADIUS, AbstractReaching, Goal
 
-GOAL_RADIUS = 2.0  # metres; every goal of the reference's task files lies on this circle
 SPARSE_RADIUS = 0.8  # metres; appendix "Reward Functions"
 # Appendix "Reward Functions" (sparse reward alone); the reference adds it to the dense one, too.
 BONUS = 4.0
-# The paper calls it "an uninformative large negative constant". All goals lie 2 m from the start,
-# so this is the distance of an ant that has not moved.
-C_MAX = 2.0
+# The paper calls it "an uninformative large negative constant": the distance of an ant that has not
+# moved.
+C_MAX = GOAL_RADIUS
 CONTROL_COST = 0.005  # reference, per squared unit of control
 CONTACT_COST = 0.0005  # reference, per squared newton or newton metre, after clipping
 SURVIVAL_BONUS = 0.05  # reference, per step

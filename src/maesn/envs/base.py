@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Action, ActionKind, Key, ObservedReward, Readings
-from maesn.physics import ModelActuators, model_actuators
 from maesn.settings import check_choice, check_number
 
 RewardKind: TypeAlias = Literal["dense", "sparse"]
@@ -104,17 +103,12 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     def control(self, action: Action) -> Float[Array, " control"]:
         """Map the policy's unbounded action to what reaches the actuators."""
 
-    def actuators(self) -> ModelActuators:
-        """Return names of the actuators, and limits of the world on top of `control`; or none."""
-        free = np.full(self.action_size, np.inf)
-        return ModelActuators(("",) * self.action_size, -free, free)
-
     @abstractmethod
     def observe(self, readings: Readings) -> Float[Array, " observed"]:
         """Return what the agent sees of the world."""
 
     def observation_names(self) -> tuple[str, ...]:
-        """Return names of the components of an observation; none if `observe` tells them."""
+        """Return names of the components of an observation, for people to check; or none."""
         return ()
 
     def instruction(self, task: Task) -> Float[Array, " instruction"]:
@@ -234,10 +228,6 @@ class AbstractMujocoEnv(AbstractSimulatedEnv[Task]):
     """Physics steps per control step."""
     nonfinite: ClassVar[Literal["raise", "report"]] = "raise"
     """What happens when a state blows up: an error, or `terminated` has to expect it."""
-
-    def actuators(self) -> ModelActuators:
-        """Return the actuators of the model."""
-        return model_actuators(self.model)
 
 
 class AbstractPureEnv(AbstractSimulatedEnv[Task]):

@@ -19,9 +19,8 @@ from jaxtyping import Array, Float
 from maesn.axes import Action, Key, Readings
 from maesn.envs.base import RewardKind, Variant
 from maesn.envs.goals import half_circle_family
-from maesn.envs.reaching import AbstractDriving, AbstractPoint, Goal
+from maesn.envs.reaching import GOAL_RADIUS, AbstractDriving, AbstractPoint, Goal
 
-GOAL_RADIUS = 2.0  # metres, as on the wheeled robot
 # Metres; a quarter of the way, so that a jittering point hardly ever gets there.
 SPARSE_RADIUS = 0.5
 STEP_LENGTH = 0.1  # metres per unit of action: the goal is 20 full steps away
@@ -33,8 +32,6 @@ class Point(AbstractDriving, AbstractPoint):
 
     name: ClassVar[str] = "point"
     control_period: ClassVar[float] = 0.1
-    c_max: ClassVar[float] = 2.0  # minus the dense reward at the start
-    control_cost: ClassVar[float] = 0.05
 
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"

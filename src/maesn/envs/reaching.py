@@ -1,8 +1,7 @@
 """Environments whose task is a position: the agent has to get there, and does not see where."""
 
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -11,6 +10,8 @@ from maesn.envs.base import AbstractEnv, AbstractPureEnv, Reward
 from maesn.envs.goals import goal_reward
 
 Goal: TypeAlias = Float[Array, " 2"]
+# Metres from the start; every goal of the reference's task files lies on this circle.
+GOAL_RADIUS = 2.0
 
 
 class AbstractReaching(AbstractEnv[Goal]):
@@ -45,12 +46,13 @@ class AbstractPoint(AbstractReaching, AbstractPureEnv[Goal]):
 
 
 class AbstractDriving(AbstractReaching):
-    """A robot that starts at the origin, drives to the goal, and sees first of all where it is."""
+    """A robot that drives from the origin to a goal, and sees first of all where it is."""
 
-    c_max: eqx.AbstractClassVar[float]
-    """The paper's "uninformative large negative constant", sign turned."""
-    control_cost: eqx.AbstractClassVar[float]
-    """Cost of a squared unit of control."""
+    c_max: ClassVar[float] = GOAL_RADIUS
+    """The paper's "uninformative large negative constant", sign turned: the distance at the start,
+    and so minus the dense reward there."""
+    control_cost: ClassVar[float] = 0.05
+    """Cost of a squared unit of control; reference, where it is a squared newton metre."""
 
     def reward(
         self, readings: Readings, action: Action, next_readings: Readings, task: Goal

@@ -133,11 +133,6 @@ def _from_family(family: TaskFamily, wanted: EnvRecord) -> AnyEnv:
 def _with_fields(env: AnyEnv, recorded: EnvRecord, overrides: EnvRecord) -> AnyEnv:
     """Return the environment with the recorded and then the overriding values of its fields."""
     own = {field.name: getattr(env, field.name) for field in dataclasses.fields(env) if field.init}
-    unknown = [name for name in overrides if name not in own]
-    if unknown:
-        raise ValueError(
-            f"`{unknown[0]}` is not a field of `{env.name}`: choose from {', '.join(own)}."
-        )
     present = describe_env(env)
     changes = {
         name: _from_json(recorded[name], like=value)

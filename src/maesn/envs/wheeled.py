@@ -26,9 +26,8 @@ from jaxtyping import Array, Float
 from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractMujocoEnv, RewardKind, Variant
 from maesn.envs.goals import half_circle_family
-from maesn.envs.reaching import AbstractDriving, Goal
+from maesn.envs.reaching import GOAL_RADIUS, AbstractDriving, Goal
 
-GOAL_RADIUS = 2.0  # metres; every goal of the reference's task files lies on this circle
 SPARSE_RADIUS = 0.8  # metres; appendix "Reward Functions"
 ACTION_SCALE = 2.0  # the motors' range, +-2 N m
 POSITION_NOISE = 0.01  # standard deviation of the start, reference
@@ -42,9 +41,6 @@ class Wheeled(AbstractDriving, AbstractMujocoEnv[Goal]):
     model: ClassVar[str] = "wheeled.xml"
     readings: ClassVar[tuple[str, ...]] = ("qpos", "qvel")
     control_period: ClassVar[float] = 0.01
-    # All goals lie 2 m from the start: minus the dense reward there.
-    c_max: ClassVar[float] = 2.0
-    control_cost: ClassVar[float] = 0.05  # reference, per squared newton metre
 
     variant: Variant = "reference"
     reward_kind: RewardKind = "dense"

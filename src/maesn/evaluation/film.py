@@ -155,9 +155,8 @@ def draw(
     env: AnyEnv, task: Any, played: Mapping[int, Sequence[Filmed]], stride: int
 ) -> dict[int, list[Filmed]]:
     """Draw episodes from one place, one picture every `stride` steps."""
-    filmed = [episode.states for episodes in played.values() for episode in episodes]
-    everything = jax.tree.map(lambda *states: np.concatenate(states), *filmed)
-    view = arena(env, jax.tree.map(lambda x: np.asarray(x)[None], task), everything)
+    first = next(iter(played.values()))[0]
+    view = arena(env, jax.tree.map(lambda x: np.asarray(x)[None], task), first.states)
     times = [*range(0, env.horizon, stride), env.horizon]
     with closing(Scene(env, view, *_SIZE)) as scene:
 

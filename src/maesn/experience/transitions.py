@@ -31,31 +31,8 @@ class Scale(NamedTuple):
         return jnp.clip((row - self.mean) / self.std, -FEATURE_CLIP, FEATURE_CLIP)
 
 
-def check_observed(observation_size: int) -> None:
-    """Refuse worlds without observations, in which there is nothing to predict.
-
-    Raises:
-        ValueError: there are none.
-    """
-    if observation_size < 1:
-        raise ValueError(
-            "`observation_size` must be at least 1, got "
-            f"{observation_size}: curiosity predicts observations, and there are none."
-        )
-
-
 def transitions(episodes: Episodes) -> Transitions:
-    """Return the transitions of all steps of all episodes.
-
-    Raises:
-        ValueError: the episodes lack the observation after their last step.
-    """
-    time, states = episodes.action.shape[-2], episodes.observation.shape[-2]
-    if states != time + 1:
-        raise ValueError(
-            f"`episodes` must hold an observation after every step, {time + 1} for {time} steps, "
-            f"got {states}: curiosity judges a step by what is observed next."
-        )
+    """Return the transitions of all steps of all episodes."""
     before, after = episodes.observation[..., :-1, :], episodes.observation[..., 1:, :]
     finite = jnp.isfinite(before).all(-1) & jnp.isfinite(after).all(-1)
     rows = jnp.concatenate([before, episodes.action, after - before], axis=-1)

@@ -33,12 +33,7 @@ class Interface(NamedTuple):
     @property
     def observation_size(self) -> int:
         """Components of an observation, flattened."""
-        return len(self.observation_names)
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Names of these components, in their order."""
-        return tuple(self.spaces["observation"][1])
+        return len(self.spaces["observation"][1])
 
 
 def derive(facts: dict[str, Any]) -> Interface:

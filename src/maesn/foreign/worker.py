@@ -279,11 +279,8 @@ def _numbers(observation: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _truth(name: str, value: Any) -> bool:
-    try:
-        known = value in (0, 1)  # as which Python's and NumPy's truth values count
-    except (TypeError, ValueError, RuntimeError):  # of arrays with several elements
-        known = False
-    if not known:
+    # 0 and 1 are equal to Python's and NumPy's truth values.
+    if np.asarray(value).size != 1 or value not in (0, 1):
         raise HostedError(f"`{name}` must be a truth value, got {value!r}")
     return bool(value)
 
@@ -307,12 +304,8 @@ def unpacked(parts: tuple[str, tuple[int, ...], bytes]) -> np.ndarray:
 
 
 def described(error: BaseException) -> str:
-    """Return type and message of an error. The message may be long, or raise an error itself."""
-    try:
-        message = str(error)
-    except Exception:  # noqa: BLE001
-        message = "(its message cannot be shown)"
-    return _shortened(f"{type(error).__name__}: {message}")
+    """Return type and message of an error, which may be long."""
+    return _shortened(f"{type(error).__name__}: {error}")
 
 
 def _raised(error: BaseException) -> str:

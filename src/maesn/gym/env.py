@@ -181,6 +181,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         """Release the engine and the drawing library; may be called twice."""
         self._stepper.close()
+        self._ended = True
         if self._scene is not None:
             self._scene.close()
 

@@ -14,8 +14,8 @@ from typing import Any
 
 # The shared object of each library that is looked for without `MUJOCO_GL`.
 _SHARED_OBJECTS = {"egl": "EGL", "osmesa": "OSMesa"}
-# The module of MuJoCo that opens a context with each library.
-_MODULES = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw"}
+# For each of these, MuJoCo has a module that opens a context.
+_LIBRARIES = ("egl", "osmesa", "glfw")
 
 
 class RenderingError(RuntimeError):
@@ -56,7 +56,7 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW warns instead of raising
-            context = importlib.import_module(_MODULES[library]).GLContext(width, height)
+            context = importlib.import_module(f"mujoco.{library}").GLContext(width, height)
             context.make_current()
         return context, _mujoco.MjrContext(model, _mujoco.mjtFontScale.mjFONTSCALE_100)
     except (*_MISSING, _mujoco.FatalError) as error:
@@ -65,7 +65,7 @@ def open_context(model: Any, width: int, height: int) -> tuple[Any, Any]:
 
 def _library() -> str:
     asked = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if asked in _MODULES:
+    if asked in _LIBRARIES:
         return asked
     if asked:
         raise _rendering_error(f"the variable MUJOCO_GL is `{asked}`")

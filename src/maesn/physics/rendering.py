@@ -19,13 +19,11 @@ _REGION_COLOUR = (0.16, 0.63, 0.36, 0.18)
 _MATERIALS = {"goal": _GOAL_COLOUR, "reach": _REGION_COLOUR}  # of a model's own marker
 _GLOW = 0.6  # without it the disc is grey in the shade
 _FLOOR_COLOUR = (0.9, 0.9, 0.91, 1.0)
+_BRIGHT = 0.6  # of the light from the camera, for models that have no light of their own
 _TRAIL_COLOUR = (0.3, 0.05, 0.45, 1.0)
 _WAY_COLOUR = (0.04, 0.04, 0.04, 1.0)
 _TRAIL_WIDTH, _WAY_WIDTH = 3.0, 1.5  # pixels
-# Shares of the longer side of what the camera sees.
-_GOAL_SHARE, _RING_SHARE, _LINE_SHARE = 0.02, 0.035, 0.004
-_RING_CORNERS = 24
-_BRIGHT = 0.6  # of the light from the camera, for models that have no light of their own
+_GOAL_SHARE, _LINE_SHARE = 0.02, 0.004  # of the longer side of what the camera sees
 _AZIMUTH = 90.0  # degrees: y points away from the viewer and x to the right, as in a plot
 _ELEVATION = -62.0  # nearly a map, but the robot's shape is seen
 _MARGIN = 1.06  # of what the camera sees over what it must see
@@ -42,27 +40,20 @@ class View(NamedTuple):
     """Greatest x and y."""
 
 
-def footprint(model: str | os.PathLike[str], qpos: Float[np.ndarray, "state qpos"]) -> View:
-    """Return the part of the floor that the moving bodies of a model cover in some states.
+class Marks(NamedTuple):
+    """What is drawn on the floor beside a model. Positions and lengths are in metres."""
 
-    Raises as `load_model`.
-    """
-    compiled = load_model(model)
-    data = mujoco.MjData(compiled)
-    moves = compiled.body_weldid[compiled.geom_bodyid] != 0
-    reach = compiled.geom_rbound[moves, None]
-    boxes = []
-    for state in qpos:
-        data.qpos[:] = state
-        mujoco.mj_kinematics(compiled, data)
-        position = data.geom_xpos[moves, :2]
-        boxes.append([(position - reach).min(axis=0), (position + reach).max(axis=0)])
-    lower, upper = np.min(boxes, axis=0)[0].tolist(), np.max(boxes, axis=0)[1].tolist()
-    return View(tuple(lower), tuple(upper))
+    goal: Float[np.ndarray, " 2"]
+    radius: float
+    """Of the goal region."""
+    judged: Float[np.ndarray, " 2"]
+    """What has to reach the goal; a thin line joins the two."""
+    trail: Float[np.ndarray, "point 2"]
+    """Positions that are joined by a line."""
 
 
 class Renderer:
-    """Draws states of one model, each with its goal and the way that led there.
+    """Draws states of one model.
 
     Args:
         model: as for `load_model`.
@@ -87,40 +78,13 @@ class Renderer:
         self._close = weakref.finalize(self, _release, self._context, self._drawer)
 
     def draw(
-        self,
-        qpos: Float[np.ndarray, " qpos"],
-        goal: Float[np.ndarray, " 2"],
-        radius: float,
-        judged: Float[np.ndarray, " 2"],
-        trail: Float[np.ndarray, "point 2"] | None = None,
-        *,
-        ringed: bool = False,
+        self, qpos: Float[np.ndarray, " qpos"], marks: Marks | None = None
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture of one state.
-
-        Positions and lengths are in metres, on the floor.
-
-        Args:
-            qpos: generalised positions.
-            goal: its position.
-            radius: radius of the goal region.
-            judged: position of what has to reach the goal; a thin line joins the two.
-            trail: positions that are joined by a line; None for no line.
-            ringed: whether a ring marks what has to reach the goal.
-        """
-        way = np.stack([judged, goal])
-        walked = way[:0] if trail is None else trail
-        return self._picture(self._arrangement.of(qpos, goal, radius, way, walked, ringed=ringed))
-
-    def draw_alone(self, qpos: Float[np.ndarray, " qpos"]) -> UInt8[np.ndarray, "height width 3"]:
-        """Return a picture of one state without a goal, from its generalised positions."""
-        return self._picture(self._arrangement.alone(qpos))
-
-    def _picture(self, scene: Any) -> UInt8[np.ndarray, "height width 3"]:
+        """Return a picture of one state, from its generalised positions."""
         if not self._close.alive:
             raise RuntimeError("the renderer is closed: make a new one")
         self._context.make_current()
-        mujoco.mjr_render(self._viewport, scene, self._drawer)
+        mujoco.mjr_render(self._viewport, self._arrangement.of(qpos, marks), self._drawer)
         upside_down = np.empty((self._viewport.height, self._viewport.width, 3), np.uint8)
         mujoco.mjr_readPixels(upside_down, None, self._viewport, self._drawer)
         return np.ascontiguousarray(upside_down[::-1])
@@ -142,54 +106,31 @@ class _Arrangement:
         self._options = mujoco.MjvOption()
         self._side = 1.0 if view is None else float(np.ptp(view, axis=0).max())
         self._marker = _GoalMarker(model, _GOAL_SHARE * self._side)
-        self._floor = _missing_floor(model, self._data)
+        self._has_floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
         if not model.nlight:
             model.vis.headlight.ambient[:] = model.vis.headlight.diffuse[:] = _BRIGHT
 
-    def of(
-        self,
-        qpos: np.ndarray,
-        goal: np.ndarray,
-        radius: float,
-        way: np.ndarray,
-        trail: np.ndarray,
-        *,
-        ringed: bool = False,
-    ) -> Any:
-        """Return the scene of one state with its goal."""
-        self._marker.move(self._data, goal, radius)
-        self.alone(qpos)
-        self._marker.add_to(self._scene, goal, radius)
-        if self._floor is not None:
-            size, place = (10 * self._side, 10 * self._side, 0.1), (*goal, self._floor)
-            _shape(self._scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, _FLOOR_COLOUR)
-        height = self._marker.height(self._data) + _LINE_SHARE * self._side
-        _add_line(self._scene, way, height, _WAY_WIDTH, _WAY_COLOUR)
-        _add_line(self._scene, trail, height, _TRAIL_WIDTH, _TRAIL_COLOUR)
-        if ringed:
-            angles = np.linspace(0.0, 2 * np.pi, _RING_CORNERS + 1)
-            circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-            ring = way[0] + _RING_SHARE * self._side * circle
-            _add_line(self._scene, ring, height, _TRAIL_WIDTH, _GOAL_COLOUR)
-        return self._scene
-
-    def alone(self, qpos: np.ndarray) -> Any:
+    def of(self, qpos: np.ndarray, marks: Marks | None = None) -> Any:
         """Return the scene of one state."""
+        if marks is not None:
+            self._marker.move(self._data, marks)
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self._model, self._data)
         mujoco.mjv_updateScene(
             self._model, self._data, self._options, None, self._camera,
             int(mujoco.mjtCatBit.mjCAT_ALL), self._scene,
         )  # fmt: skip
+        if marks is not None:
+            self._marker.add_to(self._scene, marks)
+            if not self._has_floor:
+                lowest = (self._data.geom_xpos[:, 2] - self._model.geom_rbound).min(initial=0.0)
+                size, place = (10 * self._side, 10 * self._side, 0.1), (*marks.goal, lowest)
+                _shape(self._scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, _FLOOR_COLOUR)
+            height = self._marker.height(self._data) + _LINE_SHARE * self._side
+            way = np.stack([marks.judged, marks.goal])
+            _add_line(self._scene, way, height, _WAY_WIDTH, _WAY_COLOUR)
+            _add_line(self._scene, marks.trail, height, _TRAIL_WIDTH, _TRAIL_COLOUR)
         return self._scene
-
-
-def _missing_floor(model: Any, data: Any) -> float | None:
-    """Return how high a floor belongs into a model that has none: at 0, or below all of it."""
-    if (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any():
-        return None
-    mujoco.mj_kinematics(model, data)
-    return float((data.geom_xpos[:, 2] - model.geom_rbound).min(initial=0.0))
 
 
 class _GoalMarker:
@@ -207,24 +148,25 @@ class _GoalMarker:
         self._mocap = int(model.body_mocapid[body]) if body >= 0 else -1
         self._model = model
 
-    def move(self, data: Any, goal: np.ndarray, radius: float) -> None:
+    def move(self, data: Any, marks: Marks) -> None:
         """Move the model's own marker."""
         if self._mocap >= 0:
-            data.mocap_pos[self._mocap, :2] = goal
+            data.mocap_pos[self._mocap, :2] = marks.goal
         if self._region >= 0:
-            self._model.site_size[self._region, 0] = radius
+            self._model.site_size[self._region, 0] = marks.radius
 
     def height(self, data: Any) -> float:
         """Return how high the floor is that the goal lies on, in metres."""
         return 0.0 if self._region < 0 else float(data.site_xpos[self._region, 2])
 
-    def add_to(self, scene: Any, goal: np.ndarray, radius: float) -> None:
+    def add_to(self, scene: Any, marks: Marks) -> None:
         """Add a marker to a scene of a model that has none."""
         if self._mocap >= 0:
             return
         ball, disc = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
-        _shape(scene, ball, (self._size,) * 3, (*goal, self._size), _GOAL_COLOUR)
-        _shape(scene, disc, (radius, radius, 0.001), (*goal, 0.001), _REGION_COLOUR)
+        size, radius = self._size, marks.radius
+        _shape(scene, ball, (size, size, size), (*marks.goal, size), _GOAL_COLOUR)
+        _shape(scene, disc, (radius, radius, 0.001), (*marks.goal, 0.001), _REGION_COLOUR)
 
 
 def _shape(scene: Any, kind: Any, size: Any, position: Any, colour: Any) -> Any:

@@ -16,7 +16,8 @@ from maesn.runs.probing import probe_actuators, probe_sensors
 from maesn.runtime import Actuators, ExportedPolicy, Safeguards
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.runtime.arrays import float64
-from maesn.runtime.exported_search import ExportedSearch
+from maesn.runtime.exported import ExportedSearch
+from maesn.runtime.record import decoded, encoded
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
 from maesn.runtime.search_settings import SearchSettings
@@ -45,8 +46,8 @@ def write_policy(path: str | os.PathLike[str], policy: ExportedPolicy) -> None:
 
     `ValueError` says that the runtime could not read it, as of damaged latents or a damaged prior.
     """
-    ExportedPolicy.from_archive(policy.arrays(), policy.metadata())
-    write_snapshot(path, Snapshot(policy, None, Safeguards(), None))
+    decoded(ExportedPolicy, *encoded(policy))
+    write_snapshot(path, Snapshot(policy))
 
 
 def exported_policy(

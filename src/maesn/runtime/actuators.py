@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from maesn.runtime.arrays import FloatArray
+from maesn.runtime.arrays import FloatArray, LimitArray
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Actuators:
 
     offset: FloatArray
     scale: FloatArray
-    lower: FloatArray
-    upper: FloatArray
+    lower: LimitArray
+    upper: LimitArray
     names: tuple[str, ...] = ()
 
     def control(self, action: FloatArray) -> FloatArray:

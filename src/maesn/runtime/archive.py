@@ -15,7 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from maesn.runtime.arrays import Arrays
 
 FORMAT = "maesn-policy"
-VERSION = 2
+VERSION = 3
 # A file of this suffix was being written when its process died; nothing reads it.
 PARTIAL = ".partial"
 _METADATA = "metadata"
+_HEAD = {"format": FORMAT, "version": VERSION}
 
 # Bytes that the arrays of a file may have in memory. A file of a few kilobytes can state terabytes.
 LARGEST_FILE = 2**30
@@ -52,8 +53,6 @@ _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
 )
-
-Kind = TypeVar("Kind")
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
@@ -143,8 +142,7 @@ def write_archive(
     metadata: Mapping[str, Any],
 ) -> None:
     """Write the file of a policy or of an explorer; see `write_whole`. `metadata` is for JSON."""
-    head = {"format": FORMAT, "version": VERSION, "arrays": sorted(arrays)}
-    text = json.dumps({**head, **metadata})
+    text = json.dumps({**_HEAD, **metadata})
     write_arrays(path, {_METADATA: np.array(text), **arrays})
 
 
@@ -164,21 +162,7 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
             f"something else or damaged ({error}); write it again"
         ) from error
     _check_version(metadata)
-    # Every array has a checksum, but a damaged table of contents can hide whole arrays.
-    missing = [name for name in entry(metadata, "arrays", list) if name not in list(arrays)]
-    if missing:
-        raise ValueError(f"array `{missing[0]}` is missing from the file; write it again.")
-    return arrays, metadata
-
-
-def entry(metadata: Mapping[str, Any], name: str, kind: type[Kind]) -> Kind:
-    """Return one entry of the metadata; raises ValueError if it is missing or of another type."""
-    value = metadata.get(name)
-    if kind is float and type(value) is int and abs(value) < 2**53:
-        return kind(value)  # type: ignore[call-arg]
-    if not isinstance(value, kind):
-        raise ValueError(f"entry `{name}` must be of type {kind.__name__}, got {value!r}.")
-    return value
+    return arrays, {name: value for name, value in metadata.items() if name not in _HEAD}
 
 
 def _members(archive: zipfile.ZipFile, largest: int) -> dict[str, zipfile.ZipInfo]:

@@ -1,12 +1,12 @@
 """Checked conversion of what comes from outside: observations, rewards, arrays of a file."""
 
-from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
+LimitArray: TypeAlias = Annotated[FloatArray, "infinite where there is no limit"]
 Arrays: TypeAlias = dict[str, NDArray[np.generic]]
 
 
@@ -39,35 +39,10 @@ def finite_vector(name: str, values: ArrayLike, size: int, reason: str) -> Float
     return vector
 
 
-def named(prefix: str, value: object, *fields: str) -> Arrays:
-    """Return some fields of a value under the names that they have in a file."""
-    return {f"{prefix}.{field}": getattr(value, field) for field in fields}
-
-
-def taken(arrays: Arrays, prefix: str, size: int, *fields: str, **options: bool) -> dict[str, Any]:
-    """Return vectors of a file, `[size]`, as the arguments of what they are fields of."""
-    return {field: take(arrays, f"{prefix}.{field}", size, **options) for field in fields}
-
-
-def take(
-    arrays: Mapping[str, NDArray[np.generic]], name: str, *shape: int, allow_infinite: bool = False
-) -> FloatArray:
-    """Return one array of a file in double precision; a size of its shape that is -1 may be any.
-
-    Raises:
-        ValueError: it is missing, of another shape, not a number, or infinite without
-            `allow_infinite`, which is for limits that do not exist.
-    """
-    if name not in arrays:
-        raise ValueError(f"array `{name}` is missing from the file; write it again.")
-    array = arrays[name]
-    wanted = tuple("any" if size < 0 else size for size in shape)
-    fits = array.ndim == len(shape) and all(
-        size in (-1, actual) for size, actual in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        raise ValueError(f"array `{name}` must have the shape {wanted}, but has {array.shape}.")
-    numbers = array.astype(np.float64) if array.dtype.kind in "fiu" else np.full(1, np.nan)
-    if not (np.isfinite(numbers) | (allow_infinite & np.isinf(numbers))).all():
-        raise ValueError(f"array `{name}` must hold finite numbers; the file is damaged.")
-    return numbers
+def check_shapes(owner: object, shape: tuple[int, ...], *fields: str) -> None:
+    """Raise ValueError if a field of arrays, or of names, has another shape."""
+    for field in fields:
+        found = np.shape(getattr(owner, field))
+        if found != shape:
+            name = f"{type(owner).__name__}.{field}"
+            raise ValueError(f"`{name}` must have the shape {shape}, but has {found}.")

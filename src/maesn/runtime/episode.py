@@ -1,19 +1,16 @@
 """Episodes as a robot records them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from maesn.runtime.arrays import Arrays, FloatArray, take
+from maesn.runtime.arrays import FloatArray
 
 Purpose: TypeAlias = Literal["explore", "deploy"]
 """`explore`: played to be learned from. `deploy`: played with z at the latent's mean, and judged
 only."""
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
-
-_STEPS = ("observations", "actions", "controls")
 
 LARGEST_REWARD = 1e100
 """The squares of larger ones, summed over many steps, are beyond double precision."""
@@ -86,64 +83,3 @@ class RunningEpisode:
             np.stack(self.controls),
             rewards,
         )
-
-    def arrays(self, observation_size: int, action_size: int) -> Arrays:
-        """Return the arrays to save in a file."""
-        sizes = (observation_size, action_size, action_size)
-        steps = {
-            f"running.{name}": np.reshape(getattr(self, name), (self.num_steps, size))
-            for name, size in zip(_STEPS, sizes, strict=True)
-        }
-        return {"running.latent": self.latent, **steps}
-
-    @staticmethod
-    def from_arrays(
-        arrays: Arrays, observation_size: int, action_size: int, latent_size: int, purpose: Purpose
-    ) -> "RunningEpisode":
-        """Rebuild a saved running episode; raises ValueError if its arrays do not fit."""
-        observations = take(arrays, "running.observations", -1, observation_size)
-        shape = (observations.shape[0], action_size)
-        return RunningEpisode(
-            take(arrays, "running.latent", latent_size),
-            purpose,
-            list(observations),
-            list(take(arrays, "running.actions", *shape)),
-            list(take(arrays, "running.controls", *shape)),
-        )
-
-
-def episodes_to_arrays(episodes: Sequence[Episode]) -> Arrays:
-    """Return the arrays to save of a batch: episodes of any lengths, concatenated in time."""
-    if not episodes:
-        return {}
-    joined = {
-        f"episodes.{name}": np.concatenate([getattr(one, name) for one in episodes])
-        for name in (*_STEPS, "rewards")
-    }
-    return {
-        "episodes.length": np.asarray([len(episode.rewards) for episode in episodes]),
-        "episodes.latents": np.stack([episode.latent for episode in episodes]),
-        **joined,
-    }
-
-
-def episodes_from_arrays(
-    arrays: Arrays, observation_size: int, action_size: int, latent_size: int
-) -> tuple[Episode, ...]:
-    """Rebuild a saved batch; raises ValueError if its arrays do not fit."""
-    if "episodes.length" not in arrays:
-        return ()
-    stated = take(arrays, "episodes.length", -1)
-    steps = len(take(arrays, "episodes.rewards", -1))
-    if not (stated >= 1).all() or stated.sum() != steps:
-        raise ValueError(f"array `episodes.length` must sum up to {steps} steps, got {stated}.")
-    latents = take(arrays, "episodes.latents", len(stated), latent_size)
-    joined = (
-        take(arrays, "episodes.observations", steps, observation_size),
-        take(arrays, "episodes.actions", steps, action_size),
-        take(arrays, "episodes.controls", steps, action_size),
-        take(arrays, "episodes.rewards", steps),
-    )
-    ends = np.cumsum(stated.astype(np.int64))[:-1]
-    parts = zip(latents, *(np.split(array, ends) for array in joined), strict=True)
-    return tuple(Episode(*part) for part in parts)

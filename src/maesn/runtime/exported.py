@@ -2,21 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 from maesn.runtime.actuators import Actuators
-from maesn.runtime.archive import entry
-from maesn.runtime.arrays import Arrays, named, take, taken
+from maesn.runtime.arrays import check_shapes
 from maesn.runtime.episode import PURPOSES, Purpose
-from maesn.runtime.exported_search import ExportedSearch
-from maesn.runtime.latent import LATENT, Latent, LearningRule
+from maesn.runtime.latent import Latent, LearningRule
 from maesn.runtime.policy import GaussianPolicy
+from maesn.runtime.return_model import ReturnModel, ReturnPrior
+from maesn.runtime.search_settings import SearchSettings
 from maesn.runtime.sensors import Sensors
-
-_SEARCH = "search"
-# Fields that a file holds under their own names.
-_MAP, _LIMITS, _STEPS = ("offset", "scale"), ("lower", "upper"), ("mean_step", "log_std_step")
-_NUMBERS: dict[str, type] = {"full_steps": int, "factor": float, "discount": float, "ridge": float}
 
 
 class ExportedLearner(NamedTuple):
@@ -28,6 +24,30 @@ class ExportedLearner(NamedTuple):
     """The latent that a new task starts from."""
     rule: LearningRule
     """The policy-gradient update of the latent."""
+
+
+@dataclass(frozen=True)
+class ExportedSearch:
+    """What a robot needs to search.
+
+    Attributes:
+        prior: what training tasks return for an archive of latents.
+        settings: how the search chooses.
+        horizon: steps of an episode of full length.
+    """
+
+    prior: ReturnPrior
+    settings: SearchSettings
+    horizon: int
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise ValueError(f"`horizon` must be at least 1, got {self.horizon}.")
+
+    @cached_property
+    def model(self) -> ReturnModel:
+        """The model of returns."""
+        return self.settings.model(self.prior)
 
 
 @dataclass(frozen=True)
@@ -45,6 +65,9 @@ class ExportedPolicy:
             Nothing depends on it.
         search: the search that chooses latents instead of `rule`, if any.
         is_noisy: purpose of an episode -> whether its actions are drawn, as in the simulation.
+
+    Raises:
+        ValueError: the parts do not fit each other.
     """
 
     policy: GaussianPolicy
@@ -57,10 +80,27 @@ class ExportedPolicy:
     search: ExportedSearch | None = None
     is_noisy: Mapping[Purpose, bool] = field(default_factory=lambda: dict.fromkeys(PURPOSES, True))
 
+    def __post_init__(self) -> None:
+        latent, action = (self.latent_size,), (self.action_size,)
+        if min(self.latent_size, self.observation_size) < 1:
+            raise ValueError(
+                f"`policy` has {self.policy.input_size} inputs for an observation and a z of "
+                f"{self.latent_size} components."
+            )
+        check_shapes(self.start, latent, "mean", "log_std")
+        check_shapes(self.rule, latent, "mean_step", "log_std_step")
+        check_shapes(self.actuators, action, "offset", "scale", "lower", "upper", "names")
+        check_shapes(self.sensors, (self.observation_size,), "lower", "upper", "names")
+        if self.search is not None:
+            prior = self.search.prior
+            check_shapes(prior, (len(prior.noise), *latent), "latents")
+        if {*self.is_noisy} != {*PURPOSES}:
+            raise ValueError(f"`is_noisy` must be stated for {PURPOSES}, got {self.is_noisy}.")
+
     @property
     def latent_size(self) -> int:
         """Number of components of z."""
-        return int(self.start.mean.shape[0])
+        return self.start.mean.size
 
     @property
     def observation_size(self) -> int:
@@ -76,69 +116,3 @@ class ExportedPolicy:
     def search_horizon(self) -> int:
         """Steps of a full episode, which a search alone needs; 1 without one."""
         return 1 if self.search is None else self.search.horizon
-
-    def arrays(self) -> Arrays:
-        """Return the arrays to save in a file."""
-        arrays = self.policy.arrays()
-        arrays |= named("actuators", self.actuators, *_MAP, *_LIMITS)
-        arrays |= named("sensors", self.sensors, *_LIMITS)
-        arrays |= named("start", self.start, *LATENT)
-        arrays |= named("rule", self.rule, *_STEPS)
-        return arrays if self.search is None else arrays | self.search.arrays()
-
-    def metadata(self) -> dict[str, Any]:
-        """Return the other values to save in a file."""
-        return {
-            "description": dict(self.description),
-            "num_layers": len(self.policy.weights),
-            "observation_size": self.observation_size,
-            "sensors": list(self.sensors.names),
-            "actuators": list(self.actuators.names),
-            "is_noisy": dict(self.is_noisy),
-            "start_update": self.start_update,
-            "rule": {name: getattr(self.rule, name) for name in _NUMBERS},
-            **({} if self.search is None else {_SEARCH: self.search.metadata()}),
-        }
-
-    @staticmethod
-    def from_archive(arrays: Arrays, metadata: Mapping[str, Any]) -> "ExportedPolicy":
-        """Rebuild a saved policy; raises ValueError if a part is missing or does not fit."""
-        size = take(arrays, "start.mean", -1).shape[0]
-        inputs, layers = (entry(metadata, name, int) for name in ("observation_size", "num_layers"))
-        if min(inputs, layers) < 1:
-            raise ValueError(
-                f"entries `observation_size` {inputs} and `num_layers` {layers} must be at least 1."
-            )
-        policy = GaussianPolicy.from_arrays(arrays, inputs + size, layers)
-        outputs, rule = policy.action_size, entry(metadata, "rule", dict)
-        is_noisy, search = entry(metadata, "is_noisy", dict), None
-        if _SEARCH in metadata:
-            search = ExportedSearch.from_archive(arrays, entry(metadata, _SEARCH, dict), size)
-        return ExportedPolicy(
-            policy,
-            Actuators(
-                **taken(arrays, "actuators", outputs, *_MAP),
-                **taken(arrays, "actuators", outputs, *_LIMITS, allow_infinite=True),
-                names=_names(metadata, "actuators", outputs),
-            ),
-            Sensors(
-                **taken(arrays, "sensors", inputs, *_LIMITS, allow_infinite=True),
-                names=_names(metadata, "sensors", inputs),
-            ),
-            Latent(**taken(arrays, "start", size, *LATENT)),
-            LearningRule(
-                **taken(arrays, "rule", size, *_STEPS),
-                **{name: entry(rule, name, kind) for name, kind in _NUMBERS.items()},
-            ),
-            description=entry(metadata, "description", dict),
-            start_update=entry(metadata, "start_update", int),
-            search=search,
-            is_noisy={purpose: entry(is_noisy, purpose, bool) for purpose in PURPOSES},
-        )
-
-
-def _names(metadata: Mapping[str, Any], kind: str, size: int) -> tuple[str, ...]:
-    names = entry(metadata, kind, list)
-    if len(names) != size or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"entry `{kind}` must be {size} names, got {names!r}.")
-    return tuple(names)

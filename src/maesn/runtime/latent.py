@@ -9,9 +9,6 @@ from maesn.runtime.arrays import FloatArray
 LARGEST_LATENT = 1e100
 """The squares of larger numbers, summed over many draws, are beyond double precision."""
 
-LATENT = ("mean", "log_std")
-"""The fields of a latent, as files name them."""
-
 
 @dataclass(frozen=True)
 class Latent:

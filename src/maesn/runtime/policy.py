@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from maesn.runtime.arrays import Arrays, FloatArray, take
+from maesn.runtime.arrays import FloatArray
 
 Weights: TypeAlias = NDArray[np.float32]
 
@@ -21,11 +21,24 @@ class GaussianPolicy:
         weights: one matrix `[inputs, outputs]` per layer; the first layer's inputs are [o, z].
         biases: one vector `[outputs]` per layer.
         std: standard deviation of the actions, `[action]`.
+
+    Raises:
+        ValueError: a layer does not fit the one before it.
     """
 
     weights: tuple[Weights, ...]
     biases: tuple[Weights, ...]
     std: FloatArray
+
+    def __post_init__(self) -> None:
+        outputs = [bias.shape for bias in self.biases]
+        following = [*(weight.shape[:1] for weight in self.weights[1:]), self.std.shape]
+        fits = [weight.shape[1:] for weight in self.weights] == outputs == following
+        if not fits or self.std.ndim != 1:
+            shapes = [weight.shape for weight in self.weights]
+            raise ValueError(
+                f"`weights` {shapes}, `biases` {outputs} and `std` {self.std.shape} do not fit."
+            )
 
     @property
     def action_size(self) -> int:
@@ -49,31 +62,6 @@ class GaussianPolicy:
         return ConditionedPolicy(
             (np.ascontiguousarray(first[:split]), *self.weights[1:]), (shifted, *self.biases[1:])
         )
-
-    def arrays(self) -> Arrays:
-        """Return the arrays to save in a file."""
-        arrays: Arrays = {"policy.std": self.std}
-        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays[f"policy.weight.{index}"] = weight
-            arrays[f"policy.bias.{index}"] = bias
-        return arrays
-
-    @staticmethod
-    def from_arrays(arrays: Arrays, input_size: int, num_layers: int) -> "GaussianPolicy":
-        """Rebuild a saved policy; raises ValueError if its arrays do not fit.
-
-        `input_size` counts the components of an observation and a latent together; `num_layers` the
-        hidden layers and the output layer.
-        """
-        weights: list[Weights] = []
-        biases: list[Weights] = []
-        for index in range(num_layers):
-            weight = take(arrays, f"policy.weight.{index}", input_size, -1)
-            input_size = weight.shape[1]
-            bias = take(arrays, f"policy.bias.{index}", input_size)
-            weights.append(weight.astype(np.float32))
-            biases.append(bias.astype(np.float32))
-        return GaussianPolicy(tuple(weights), tuple(biases), take(arrays, "policy.std", input_size))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The posterior over the returns of latents in a new task, under one model of them."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -31,6 +32,10 @@ class Reading:
     point: int
     episode_return: float
     length: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.episode_return) and math.isfinite(self.length)):
+            raise ValueError(f"a return and its length must be finite, got {self}.")
 
 
 class Prediction(NamedTuple):

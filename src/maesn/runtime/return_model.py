@@ -11,7 +11,6 @@ never comes near the goal, and l the length of the episode as a share of the hor
 """
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -34,11 +33,6 @@ _WIDER = 2.0
 
 NOMINAL = (0.05, 0.95)
 """Quantiles between which 90 % of the returns lie if the model is right."""
-
-
-PRIOR_ARRAYS = ("latents", "excess", "noise")
-PRIOR_NUMBERS = ("episodes", "offset_mean", "offset_std", "proposed_levels", "deployed_levels")
-"""The fields of a prior, which files hold in single precision, or as numbers."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +62,13 @@ class ReturnPrior:
     episodes: int
     offset_mean: float
     offset_std: float
-    proposed_levels: Sequence[float] = NOMINAL
-    deployed_levels: Sequence[float] = NOMINAL
+    proposed_levels: tuple[float, ...] = NOMINAL
+    deployed_levels: tuple[float, ...] = NOMINAL
 
     def __post_init__(self) -> None:
-        count = len(self.latents)
-        shapes = (self.latents.ndim, self.excess.ndim, self.excess.shape[-1:], self.noise.shape)
-        if shapes != (2, 2, (count,), (count,)) or count == 0:
+        count = self.noise.size
+        shapes = (self.latents.shape[:1], self.excess.shape[1:], self.noise.shape)
+        if self.latents.ndim != 2 or shapes != ((count,),) * 3 or count == 0:
             raise ValueError(
                 "`latents`, `excess` and `noise` must have the shapes (latent, z), (task, latent) "
                 f"and (latent,), got {self.latents.shape}, {self.excess.shape} and "

@@ -1,8 +1,8 @@
 """Limits that keep a robot safe while it explores. The policy does not know them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -59,10 +59,6 @@ class Safeguards:
                 f"`{name}` must be one number or {size}, one for each actuator, got {value!r}."
             )
         return np.broadcast_to(array, (size,)).copy()
-
-    def metadata(self) -> dict[str, Any]:
-        """Return the fields as JSON values; `Safeguards(**metadata)` restores them."""
-        return asdict(self)
 
 
 def _as_numbers(name: str, limit: Limit | None) -> float | tuple[float, ...] | None:

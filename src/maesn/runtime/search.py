@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maesn.runtime.arrays import Arrays, FloatArray, take
+from maesn.runtime.arrays import FloatArray, check_shapes
 from maesn.runtime.hypotheses import MixedPosterior
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel
@@ -29,6 +29,21 @@ class Beliefs(NamedTuple):
     """90 % interval of the return of an episode with the latent to deploy."""
     familiar: float
     """Posterior probability that the task is like a training task: low where the search is lost."""
+
+
+@dataclass(frozen=True)
+class SearchHistory:
+    """What a search has done, of which a file makes it again.
+
+    Attributes:
+        added: points that the archive does not have, `[point, z]`.
+        added_after: number of readings before each of them.
+        readings: what the search has learned from.
+    """
+
+    added: FloatArray
+    added_after: tuple[int, ...]
+    readings: tuple[Reading, ...]
 
 
 @dataclass(frozen=True)
@@ -194,35 +209,29 @@ class LatentSearch:
         closed[list(taken)] = True
         return np.where(closed, -np.inf, self.scores(component))
 
-    def arrays(self) -> Arrays:
-        """Return the arrays to save in a file: all that this search has done."""
-        readings = self.posterior.readings
-        archive = len(self.model.archive)
-        return {
-            "search.added": self.points[archive:],
-            "search.added_after": np.asarray(self.added_after, np.float64),
-            "search.points": np.asarray([one.point for one in readings], np.float64),
-            "search.returns": np.asarray([one.episode_return for one in readings]),
-            "search.lengths": np.asarray([one.length for one in readings]),
-        }
+    @property
+    def history(self) -> SearchHistory:
+        """All that this search has done."""
+        added = self.points[len(self.model.archive) :]
+        return SearchHistory(added, self.added_after, self.posterior.readings)
 
-    def repeated(self, arrays: Arrays) -> "LatentSearch":
-        """Replay a saved search: add its points and readings again, in the same order."""
-        size = self.points.shape[1]
-        added = take(arrays, "search.added", -1, size)
-        after = take(arrays, "search.added_after", len(added)).tolist()
-        points = take(arrays, "search.points", -1)
-        returns = take(arrays, "search.returns", len(points))
-        lengths = take(arrays, "search.lengths", len(points))
-        search, pending = self, list(zip(after, added, strict=True))
-        for count in range(len(points) + 1):
-            while pending and pending[0][0] <= count:
-                search = search.with_latent(pending.pop(0)[1])
-            if count < len(points):
-                point = int(points[count])
-                if not 0 <= point < len(search.points):
-                    raise ValueError("array `search.points` names points that are not there.")
-                search = search.after([Reading(point, returns[count], lengths[count])])
+    def repeated(self, history: SearchHistory) -> "LatentSearch":
+        """Return the search after the same points and readings, in the same order.
+
+        Raises:
+            ValueError: they are those of another search.
+        """
+        check_shapes(history, (len(history.added_after), self.points.shape[1]), "added")
+        search, number = self, len(history.readings)
+        for count in range(number + 1):
+            for z in history.added[np.equal(history.added_after, count)]:
+                search = search.with_latent(z)
+            readings = history.readings[count : count + 1]
+            if not all(0 <= one.point < len(search.points) for one in readings):
+                raise ValueError(f"`readings` name points that are not there: {readings}.")
+            search = search.after(readings)
+        if search.added_after != history.added_after:
+            raise ValueError(f"`added_after` must count up to {number} readings, in order.")
         return search
 
     def _is_beyond(self, reading: Reading) -> bool:

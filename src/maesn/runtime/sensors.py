@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from maesn.runtime.actuators import clipped
-from maesn.runtime.arrays import FloatArray
+from maesn.runtime.arrays import FloatArray, LimitArray
 
 
 @dataclass(frozen=True)
@@ -11,14 +11,14 @@ class Sensors:
     """The components of an observation, in the policy's order.
 
     Attributes:
-        names: what each component is, as far as it is known.
+        names: what each component is called; "" where it has no name.
         lower: what training clipped each component to from below; -inf if it did not.
         upper: the same from above; inf if it did not.
     """
 
     names: tuple[str, ...]
-    lower: FloatArray
-    upper: FloatArray
+    lower: LimitArray
+    upper: LimitArray
 
     def clipped(self, observation: FloatArray) -> FloatArray:
         """Return an observation as the simulation would have shown it, `[observation]`."""

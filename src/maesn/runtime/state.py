@@ -1,24 +1,13 @@
 """All that changes on a robot while it explores and learns, apart from its random numbers."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from maesn.runtime.archive import entry
-from maesn.runtime.arrays import Arrays, FloatArray, named, take, taken
-from maesn.runtime.episode import (
-    PURPOSES,
-    Episode,
-    Purpose,
-    RunningEpisode,
-    episodes_from_arrays,
-    episodes_to_arrays,
-    refuse_large,
-)
+from maesn.runtime.arrays import FloatArray, check_shapes
+from maesn.runtime.episode import Episode, RunningEpisode, refuse_large
 from maesn.runtime.exported import ExportedPolicy
-from maesn.runtime.latent import LATENT, Latent
+from maesn.runtime.latent import Latent
 from maesn.runtime.posterior import Reading
 from maesn.runtime.search import LatentSearch
 
@@ -45,6 +34,13 @@ class ExplorerState:
     proposed: tuple[int, ...] = ()
     results: tuple[Reading, ...] = ()
 
+    def __post_init__(self) -> None:
+        if self.search is not None:
+            points = range(len(self.search.points))
+            named = (*self.proposed, *(one.point for one in self.results))
+            if not all(point in points for point in named):
+                raise ValueError("`proposed` or `results` name points that are not there.")
+
     @staticmethod
     def new_task(exported: ExportedPolicy) -> "ExplorerState":
         """Return the state at the start of a new task."""
@@ -68,22 +64,18 @@ class ExplorerState:
         `explore=False` holds z at the latent's mean, or at the best point of a search. A z of None,
         `[latent]`, is drawn with the generator, or chosen by the search.
         """
-        if self.search is not None:
-            search = self.search
-            if not explore:
-                best = search.latent(search.best).copy()
-                return replace(self, running=RunningEpisode(best, "deploy"))
-            if z is None:
-                search, point = search.proposed(generator)
-                z = search.latent(point).copy()
-            elif not search.has(z):
-                search = search.with_latent(z)
-            return replace(self, running=RunningEpisode(z), search=search)
+        search = self.search
         if not explore:
-            return replace(self, running=RunningEpisode(self.latent.mean.copy(), "deploy"))
-        if z is None:
+            z = self.latent.mean if search is None else search.latent(search.best)
+        elif z is None and search is not None:
+            search, point = search.proposed(generator)
+            z = search.latent(point)
+        elif z is None:
             z = self.latent.draw(generator.standard_normal(self.latent.mean.size))
-        return replace(self, running=RunningEpisode(z))
+        elif search is not None and not search.has(z):
+            search = search.with_latent(z)
+        running = RunningEpisode(z.copy(), "explore" if explore else "deploy")
+        return replace(self, running=running, search=search)
 
     def running_for(self, call: str) -> RunningEpisode:
         """Return the running episode; raises RuntimeError if there is none."""
@@ -132,76 +124,18 @@ class ExplorerState:
         place = {point: number for number, point in enumerate(self.proposed)}
         return sorted([*own, *self.results], key=lambda one: place.get(one.point, len(place)))
 
-    def arrays(self, exported: ExportedPolicy) -> Arrays:
-        """Return the arrays to save in a file."""
-        kept = named("latent", self.latent, *LATENT) | episodes_to_arrays(self.episodes)
-        if self.running is not None:
-            kept |= self.running.arrays(exported.observation_size, exported.action_size)
-        if self.search is None:
-            return kept
-        return kept | self.search.arrays() | _results_to_arrays(self.proposed, self.results)
-
-    def metadata(self) -> dict[str, Any]:
-        """Return the other values to save in a file."""
-        purpose = "explore" if self.running is None else self.running.purpose
-        return {"update": self.update, "purpose": purpose}
-
-    @staticmethod
-    def from_archive(
-        arrays: Arrays, metadata: Mapping[str, Any], exported: ExportedPolicy
-    ) -> "ExplorerState":
-        """Rebuild a saved state; raises ValueError if a part is missing or does not fit."""
-        size = exported.latent_size
-        sizes = (exported.observation_size, exported.action_size, size)
-        running = None
-        if "running.latent" in arrays:
-            running = RunningEpisode.from_arrays(arrays, *sizes, purpose=_purpose(metadata))
-        state = ExplorerState.new_task(exported)
-        if state.search is not None:
-            search = state.search.repeated(arrays)
-            proposed, results = _results_from_arrays(arrays, len(search.points))
-            state = replace(state, search=search, proposed=proposed, results=results)
-        return replace(
-            state,
-            latent=Latent(**taken(arrays, "latent", size, *LATENT)),
-            update=entry(metadata, "update", int),
-            episodes=episodes_from_arrays(arrays, *sizes),
-            running=running,
-        )
-
-
-def _purpose(metadata: Mapping[str, Any]) -> Purpose:
-    found: Any = metadata.get("purpose")
-    if found not in PURPOSES:
-        raise ValueError(f"entry `purpose` must be 'explore' or 'deploy', got {found!r}.")
-    purpose: Purpose = found
-    return purpose
-
-
-_RESULTS = ("point", "episode_return", "length")
-
-
-def _results_to_arrays(proposed: tuple[int, ...], results: tuple[Reading, ...]) -> Arrays:
-    fields = {name: [getattr(one, name) for one in results] for name in _RESULTS}
-    return {
-        "proposed": np.asarray(proposed, np.float64),
-        **{f"results.{name}": np.asarray(values, np.float64) for name, values in fields.items()},
-    }
-
-
-def _results_from_arrays(
-    arrays: Arrays, num_points: int
-) -> tuple[tuple[int, ...], tuple[Reading, ...]]:
-    if "proposed" not in arrays:  # written before searches proposed several z
-        return (), ()
-    proposed = _points(take(arrays, "proposed", -1), num_points)
-    points = _points(take(arrays, "results.point", -1), num_points)
-    rest = [take(arrays, f"results.{name}", len(points)).tolist() for name in _RESULTS[1:]]
-    return proposed, tuple(map(Reading, points, *rest))
-
-
-def _points(stated: FloatArray, num_points: int) -> tuple[int, ...]:
-    points = tuple(int(point) for point in stated)
-    if not all(0 <= point < num_points for point in points):
-        raise ValueError("array `proposed` or `results.point` names points that are not there.")
-    return points
+    def check_sizes(self, exported: ExportedPolicy) -> None:
+        """Raise ValueError if the latents and episodes are those of another policy."""
+        latent, sizes = exported.latent_size, (exported.observation_size, exported.action_size)
+        check_shapes(self.latent, (latent,), "mean", "log_std")
+        episodes, running = list(self.episodes), self.running
+        if running is not None:
+            check_shapes(running, (latent,), "latent")
+            if steps := max(map(len, (running.observations, running.actions, running.controls))):
+                episodes.append(running.finished(np.zeros(steps)))
+        for episode in episodes:
+            steps = max(episode.rewards.size, 1)
+            check_shapes(episode, (latent,), "latent")
+            check_shapes(episode, (steps,), "rewards")
+            check_shapes(episode, (steps, sizes[0]), "observations")
+            check_shapes(episode, (steps, sizes[1]), "actions", "controls")

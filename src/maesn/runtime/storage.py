@@ -2,27 +2,48 @@
 
 import os
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from maesn.runtime.archive import entry, read_archive, write_archive
+from maesn.runtime.archive import read_archive, write_archive
 from maesn.runtime.exported import ExportedPolicy
+from maesn.runtime.record import decoded, encoded
 from maesn.runtime.safeguards import Safeguards
+from maesn.runtime.search import LatentSearch, SearchHistory
 from maesn.runtime.state import ExplorerState
 
-_EXPLORER = "explorer"
 
+@dataclass(frozen=True)
+class Snapshot:
+    """All of an explorer.
 
-class Snapshot(NamedTuple):
-    """All of an explorer."""
+    Attributes:
+        exported: what meta-training handed over.
+        state: None in a file that was exported and not yet used.
+        safeguards: limits on the executed controls and on the latent.
+        random_state: state of NumPy's generator; None where `state` is None.
+        history: what the search of the state has done, which files hold in its place.
+
+    Raises:
+        ValueError: the parts do not fit each other.
+    """
 
     exported: ExportedPolicy
-    state: ExplorerState | None
-    """None in a file that was exported and not yet used."""
-    safeguards: Safeguards
-    random_state: Mapping[str, Any] | None
-    """State of NumPy's generator; None where `state` is None."""
+    state: ExplorerState | None = None
+    safeguards: Safeguards = field(default_factory=Safeguards)
+    random_state: Mapping[str, Any] | None = None
+    history: SearchHistory | None = None
+
+    def __post_init__(self) -> None:
+        if self.state is not None:
+            self.state.check_sizes(self.exported)
+        if self.random_state is not None:
+            try:
+                np.random.default_rng(0).bit_generator.state = self.random_state
+            except (KeyError, OverflowError, TypeError, ValueError) as error:
+                raise ValueError(f"`random_state` is damaged: {error}") from error
 
 
 def write_snapshot(path: str | os.PathLike[str], snapshot: Snapshot) -> None:
@@ -31,16 +52,11 @@ def write_snapshot(path: str | os.PathLike[str], snapshot: Snapshot) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    exported, state = snapshot.exported, snapshot.state
-    arrays, metadata = exported.arrays(), exported.metadata()
-    if state is not None:
-        arrays |= state.arrays(exported)
-        metadata[_EXPLORER] = {
-            **state.metadata(),
-            "safeguards": snapshot.safeguards.metadata(),
-            "random_state": snapshot.random_state,
-        }
-    write_archive(path, arrays, metadata)
+    state = snapshot.state
+    if state is not None and state.search is not None:
+        search, state = state.search, replace(state, search=None)
+        snapshot = replace(snapshot, state=state, history=search.history)
+    write_archive(path, *encoded(snapshot))
 
 
 def read_snapshot(path: str | os.PathLike[str]) -> Snapshot:
@@ -50,32 +66,11 @@ def read_snapshot(path: str | os.PathLike[str]) -> Snapshot:
         OSError: the file cannot be opened.
         ValueError: it is damaged, something else, or does not fit together.
     """
-    arrays, metadata = read_archive(path)
-    exported = ExportedPolicy.from_archive(arrays, metadata)
-    if _EXPLORER not in metadata:
-        return Snapshot(exported, None, Safeguards(), None)
-    saved = entry(metadata, _EXPLORER, dict)
-    return Snapshot(
-        exported,
-        ExplorerState.from_archive(arrays, saved, exported),
-        _safeguards(entry(saved, "safeguards", dict)),
-        _random_state(entry(saved, "random_state", dict)),
-    )
-
-
-def _safeguards(fields: dict[str, Any]) -> Safeguards:
-    # Older files have this entry.
-    if fields.pop("max_return_drop", None) is not None:
-        raise ValueError("`max_return_drop` is no safeguard any more: load the policy anew.")
-    try:
-        return Safeguards(**fields)
-    except TypeError as error:
-        raise ValueError(f"entry `safeguards` is damaged: {error}") from error
-
-
-def _random_state(state: dict[str, Any]) -> dict[str, Any]:
-    try:
-        np.random.default_rng(0).bit_generator.state = state
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"entry `random_state` is damaged: {error}") from error
-    return state
+    snapshot = decoded(Snapshot, *read_archive(path))
+    state, given = snapshot.state, snapshot.exported.search
+    if state is None or given is None:
+        return snapshot
+    if snapshot.history is None:
+        raise ValueError("entry `history` is missing, without which a search cannot go on.")
+    search = LatentSearch.start(given.model, given.settings).repeated(snapshot.history)
+    return replace(snapshot, state=replace(state, search=search))

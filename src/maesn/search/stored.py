@@ -18,7 +18,8 @@ from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkp
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
 from maesn.runtime.archive import parse_json
-from maesn.runtime.return_model import PRIOR_ARRAYS, PRIOR_NUMBERS, ReturnPrior
+from maesn.runtime.record import decoded, encoded
+from maesn.runtime.return_model import NOMINAL, ReturnPrior
 from maesn.search.calibration import calibrated
 from maesn.search.learner import latent_of
 from maesn.search.prior import (
@@ -99,10 +100,10 @@ def run_prior(
             / PRIORS
             / _file_name(world, settings.action_noise)
         )
-        arrays = {name: getattr(prior, name).astype(np.float32) for name in PRIOR_ARRAYS}
         if settings.searches and not settings.action_noise:
             prior = _calibrated(prior, run, latent, world.env, settings)
-        numbers = {name: getattr(prior, name) for name in PRIOR_NUMBERS}
+        held, numbers = encoded(prior)
+        arrays = {name: array.astype(np.float32) for name, array in held.items()}
         bound = bound_to(run, state, world, settings.action_noise)
         metadata = bound | {"numbers": json.dumps(numbers)}
     save_checkpoint(path, arrays, metadata)
@@ -206,7 +207,9 @@ def read_prior(path: Path) -> tuple[ReturnPrior, dict[str, str]]:
     """Read a prior and its metadata, see `bound_to`; raises `RunError` if it is damaged."""
     values, metadata = read_checkpoint(path)
     try:
-        held: dict[str, Any] = {name: values[name].astype(np.float64) for name in PRIOR_ARRAYS}
-        return ReturnPrior(**held, **parse_json(metadata["numbers"])), metadata
+        # Older priors state no levels.
+        levels = {"proposed_levels": [*NOMINAL], "deployed_levels": [*NOMINAL]}
+        numbers = {**levels, **parse_json(metadata["numbers"])}
+        return decoded(ReturnPrior, values, numbers), metadata
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` is no prior that `maesn prior` wrote ({error}).") from error

@@ -32,10 +32,10 @@ from maesn.worlds.outcome import ends, judge, observe, terminates
 
 
 @lru_cache(maxsize=64)
-def _programs(env: AnyEnv, episodes_per_task: int) -> "_Programs":
-    """Return the jitted functions of a collector, the same ones for equal arguments."""
+def _programs(env: AnyEnv, episodes_per_task: int) -> tuple[Any, Any, Any]:
+    """Return what runs before, in, and after the steps of a world, compiled once for equal ones."""
     batch = _Batch(env, episodes_per_task)
-    return _Programs(jax.jit(batch.begin), jax.jit(batch.decide), jax.jit(batch.assemble))
+    return jax.jit(batch.begin), jax.jit(batch.decide), jax.jit(batch.assemble)
 
 
 class Collector:
@@ -57,7 +57,7 @@ class Collector:
         self.world = world
         self.episodes_per_task = episodes_per_task
         self._watch = watch
-        self._programs = _programs(world.env, episodes_per_task)
+        self._begin, self._decide, self._assemble = _programs(world.env, episodes_per_task)
 
     @property
     def num_tasks(self) -> int:
@@ -99,18 +99,18 @@ class Collector:
         tasks = self.world.tasks[np.asarray(task_index)]
         # The trial state is added afterwards, so that the first and the later episodes of trials
         # share one compiled program.
-        actors, start = self._programs.begin(keys, replace(agents, trial_state=None), tasks)
+        actors, start = self._begin(keys, replace(agents, trial_state=None), tasks)
         if agents.trial_state is not None:
             actors = replace(actors, trial_state=agents.trial_state)
         try:
-            trajectory = self.world.play(self._programs.decide, actors, start)
+            trajectory = self.world.play(self._decide, actors, start)
         except SimulationFailure as failure:
             task_slot, episode = divmod(failure.simulation, self.episodes_per_task)
             task = int(task_index[task_slot])
             raise EpisodeError(
                 self.world.env.name, task, episode, failure.step, failure.reason
             ) from failure
-        episodes, finite = self._programs.assemble(actors, trajectory)
+        episodes, finite = self._assemble(actors, trajectory)
         self._check_finite(finite, np.asarray(task_index))
         return episodes, trajectory.readings
 
@@ -125,14 +125,6 @@ class Collector:
             step, task_slot, episode, name = min(failures, key=lambda failure: failure[0])
             task, reason = int(task_index[task_slot]), f"the {name} is not finite"
             raise EpisodeError(self.world.env.name, task, episode, step, reason)
-
-
-class _Programs(NamedTuple):
-    """The methods of a `_Batch`, jitted: before, in, and after the steps of a world."""
-
-    begin: Callable[..., Any]
-    decide: Callable[..., Any]
-    assemble: Callable[..., Any]
 
 
 class _Batch(NamedTuple):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -40,8 +39,8 @@ def check_env_contract(env: AnyEnv, task: Any) -> None:
     is passed on. Environments of others are begun and stepped once.
 
     Raises:
-        EnvContractError: a function returns another shape, there is no field of a name, or
-            `control_period` is wrong.
+        EnvContractError: a function returns another shape, or `control_period` is wrong.
+        ValueError: there is no field of a name.
     """
     if isinstance(env, AbstractGymnasiumEnv):
         check_hosted(env, task)
@@ -60,11 +59,12 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
     task = jax.tree.map(jnp.asarray, task)
     start = jax.eval_shape(env.start, jax.random.key(0), task)
     action = jnp.zeros(env.action_size)
-    control = _control(env, action)
+    control = jax.eval_shape(env.control, action)
     readings: Any = {"qpos": start.qpos, "qvel": start.qvel}
     if isinstance(env, AbstractPureEnv):
         moved = jax.eval_shape(env.advance, readings, control)
         yield "advance", moved, jax.tree.map(jnp.shape, readings)
+        yield "model_fields", start.model_fields, {}
     if isinstance(env, AbstractMujocoEnv):
         model = load_model(env.model)
         _check_period(env, model.opt.timestep)
@@ -73,9 +73,8 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
                 f"`{env.name}`: `action_size` must be {model.nu}, as many as the model has "
                 f"actuators, because `control` makes one number of each, got {env.action_size}."
             )
-        with _naming(env):
-            readings = _single(resting_readings(model, env.readings))
-            fields = _single(field_values(model, tuple(start.model_fields)))
+        readings = _single(resting_readings(model, env.readings))
+        fields = _single(field_values(model, tuple(start.model_fields)))
         yield "initial", (start.qpos, start.qvel), ((model.nq,), (model.nv,))
         yield "model_fields", start.model_fields, jax.tree.map(jnp.shape, fields)
         yield "control", control, (model.nu,)
@@ -90,16 +89,6 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "goal", jax.eval_shape(env.goal, task), (2,)
 
 
-def _control(env: AbstractSimulatedEnv[Any], action: Array) -> Any:
-    try:
-        return jax.eval_shape(env.control, action)
-    except TypeError as error:  # of JAX, where shapes do not fit
-        raise EnvContractError(
-            f"`{env.name}`: `control` must take an action of `action_size` {env.action_size} "
-            f"numbers, but JAX says: {' '.join(str(error).split())}"
-        ) from error
-
-
 def _check_period(env: AbstractMujocoEnv[Any], timestep: float) -> None:
     period = env.frame_skip * timestep
     if not math.isclose(env.control_period, period, rel_tol=1e-6):
@@ -108,15 +97,6 @@ def _check_period(env: AbstractMujocoEnv[Any], timestep: float) -> None:
             f"model, {env.frame_skip} * {timestep:g} s = {period:g} s, got "
             f"{env.control_period:g} s: robots are controlled at that rate."
         )
-
-
-@contextmanager
-def _naming(env: AnyEnv) -> Iterator[None]:
-    """Name the environment in messages about the names that it uses."""
-    try:
-        yield
-    except ValueError as error:
-        raise EnvContractError(f"`{env.name}`: {error}.") from error
 
 
 def _outcomes(

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, UInt8
 from PIL import Image, ImageOps
 
-from maesn.axes import HostReadings, RecurrentState
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
 from maesn.foreign import WorkerError
@@ -53,14 +52,13 @@ class HostWorld(AbstractWorld):
 
     def play(self, act: Act, actors: Actors, start: Any) -> Trajectory:
         """Play with an `act` that the caller has compiled."""
-        record = None
+        played: list[Decision] = []
         try:
-            record = _Record(self.stepper.begin(start, actors.tasks), self.env.horizon)
-            return self._played(record, act, actors)
+            return self._played(act, actors, start, played)
         except (PhysicsError, WorkerError) as failure:
             self.close()
-            step = 0 if record is None else record.length
-            raise SimulationFailure(failure.simulation, step, failure.reason) from failure
+            reason = failure.reason
+            raise SimulationFailure(failure.simulation, len(played), reason) from failure
         except BaseException:
             self.close()
             raise
@@ -73,18 +71,20 @@ class HostWorld(AbstractWorld):
     def close(self) -> None:
         self.stepper.close()
 
-    def _played(self, record: "_Record", act: Act, actors: Actors) -> Trajectory:
+    def _played(self, act: Act, actors: Actors, start: Any, played: list[Decision]) -> Trajectory:
+        """Play, and keep the decisions so far in `played`."""
         batch = actors.z.shape[:2]
         previous_action: Array | np.ndarray = np.zeros((*batch, self.env.action_size), np.float32)
         ended: Array | np.ndarray = np.zeros(batch, bool)
         recurrent_state = actors.trial_state.recurrent_state
+        readings = [self.stepper.begin(start, actors.tasks)]
         self.pictures = []
         self._take_pictures(0, ended.size)
         for step in range(self.env.horizon):
             moment = Moment(
                 step=np.asarray(step, np.int32),
-                readings=record.at(step),
-                previous_readings=record.at(max(step - 1, 0)),
+                readings=readings[-1],
+                previous_readings=readings[max(step - 1, 0)],
                 previous_action=previous_action,
                 recurrent_state=recurrent_state,
                 ended=ended,
@@ -93,11 +93,13 @@ class HostWorld(AbstractWorld):
             over = np.asarray(decision.ended).ravel()
             # Controls of episodes that have ended may be NaN.
             control = np.where(over[:, None], np.float32(0.0), np.asarray(decision.control))
-            record.add(self.stepper.step(control, over), decision)
+            readings.append(self.stepper.step(control, over))
+            played.append(decision)
             self._take_pictures(step + 1, ended.size)
             previous_action, ended = decision.action, decision.ended
             recurrent_state = decision.recurrent_state
-        return record.trajectory(recurrent_state)
+        action, behaviour = _stacked([(one.action, one.behaviour) for one in played])
+        return Trajectory(_stacked(readings), action, behaviour, recurrent_state)
 
     def _take_pictures(self, time: int, num_simulations: int) -> None:
         camera = self._camera
@@ -107,35 +109,5 @@ class HostWorld(AbstractWorld):
             self.pictures.append([np.asarray(picture) for picture in padded])
 
 
-class _Record:
-    """Collects the steps of a batch in arrays of single precision."""
-
-    def __init__(self, first: HostReadings, horizon: int) -> None:
-        self._readings = {
-            name: np.empty((horizon + 1, *value.shape), np.float32) for name, value in first.items()
-        }
-        self._decisions: list[Any] = []
-        self._write(first)
-
-    @property
-    def length(self) -> int:
-        """Number of steps so far."""
-        return len(self._decisions)
-
-    def _write(self, readings: HostReadings) -> None:
-        for name, value in readings.items():
-            self._readings[name][self.length] = value
-
-    def at(self, index: int) -> HostReadings:
-        """The readings of one state, as the policy sees them."""
-        return {name: values[index] for name, values in self._readings.items()}
-
-    def add(self, readings: HostReadings, decision: Decision) -> None:
-        self._decisions.append((decision.action, decision.behaviour))
-        self._write(readings)
-
-    def trajectory(self, recurrent_state: RecurrentState) -> Trajectory:
-        action, behaviour = jax.tree.map(
-            lambda *steps: np.stack([np.asarray(step) for step in steps]), *self._decisions
-        )
-        return Trajectory(self._readings, action, behaviour, recurrent_state)
+def _stacked(steps: list[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *steps)

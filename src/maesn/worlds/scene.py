@@ -11,14 +11,15 @@ from jaxtyping import Array, Float, UInt8
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs.base import AbstractMujocoEnv, AnyEnv
-from maesn.physics import Renderer, RenderingError, View, footprint
+from maesn.physics import Marks, Renderer, RenderingError, View
 
 # The model that stands for whatever moves on a plane without MuJoCo, and the length in metres that
 # suits the size of its ball: the plane is scaled so that what is seen is as long.
 _BALL, _BALL_SCENE = "point", 5.0
 
-# How far beyond tasks and start, in units of the extent of both, the camera follows.
-_FOLLOWED = 0.15
+# How far beyond tasks and start, in units of the extent of both, the camera sees.
+_MARGIN = 0.15
+_NO_TRAIL = np.zeros((0, 2))
 
 
 class Scene:
@@ -52,25 +53,21 @@ class Scene:
         self._renderer = Renderer(_model(env), view, width, height)
 
     def draw(
-        self, readings: HostReadings, task: Any, trail: Float[np.ndarray, "point 2"] | None = None
+        self, readings: HostReadings, task: Any, trail: Float[np.ndarray, "point 2"] = _NO_TRAIL
     ) -> UInt8[np.ndarray, "height width 3"]:
         """Return a picture of one state, with the task's goal and the way to it that is left.
 
-        A line joins the positions of the trail, in metres; None for no line.
+        A line joins the positions of the trail, in metres.
         """
-        if not self.env.planar:
-            return self._renderer.draw_alone(np.asarray(readings["qpos"]))
-        scale, marks = self._scale, _marks(self.env, readings, task)
-        position, judged, goal = (scale * np.asarray(mark) for mark in marks)
-        pose = readings["qpos"] if isinstance(self.env, AbstractMujocoEnv) else position
-        return self._renderer.draw(
-            np.asarray(pose),
-            goal,
-            scale * self.env.sparse_radius,
-            judged,
-            None if trail is None else scale * trail,
-            ringed=not np.allclose(position, judged, atol=0.01 * scale * self.env.sparse_radius),
+        env = self.env
+        if not env.planar:
+            return self._renderer.draw(np.asarray(readings["qpos"]))
+        position, judged, goal = (
+            self._scale * np.asarray(mark) for mark in _marks(env, readings, task)
         )
+        pose = np.asarray(readings["qpos"]) if isinstance(env, AbstractMujocoEnv) else position
+        scaled = Marks(goal, self._scale * env.sparse_radius, judged, self._scale * trail)
+        return self._renderer.draw(pose, scaled)
 
     def close(self) -> None:
         """Give the memory of the drawing library back; may be called twice."""
@@ -94,32 +91,21 @@ def _marks(env: AnyEnv, readings: dict[str, Array], task: Any) -> tuple[Array, A
 
 
 def arena(env: AnyEnv, tasks: Any, readings: Readings | HostReadings) -> View | None:
-    """Return a view of stacked tasks and of what moves in some states; None if they are no places.
+    """Return a view of stacked tasks and of the start of an episode; None if they are no places.
 
     Who goes astray leaves the picture: it would make everything else too small to see. Readings are
-    `[state, ...]`; the first state is the start of an episode.
+    `[state, ...]`; the first state is the start.
     """
     if not env.planar:
         return None
     rows = jax.tree.map(jnp.asarray, tasks)
     goals, objects = (np.asarray(jax.vmap(f)(rows)) for f in (env.goal, env.landmarks))
-    start, covered = _covered(env, jax.tree.map(lambda x: x[:1], readings)), _covered(env, readings)
-    points = np.concatenate([objects.reshape(-1, 2), np.array(start)])
-    low = np.minimum(goals.min(axis=0) - env.sparse_radius, points.min(axis=0))
-    high = np.maximum(goals.max(axis=0) + env.sparse_radius, points.max(axis=0))
-    margin = _FOLLOWED * (high - low).max()
-    lower, upper = np.maximum(covered.lower, low - margin), np.minimum(covered.upper, high + margin)
-    lower, upper = np.minimum(lower, low).tolist(), np.maximum(upper, high).tolist()
-    return View(tuple(lower), tuple(upper))
-
-
-def _covered(env: AnyEnv, readings: Readings | HostReadings) -> View:
-    """Return the part of the plane that moves in some states."""
-    if isinstance(env, AbstractMujocoEnv):
-        return footprint(_model(env), np.asarray(readings["qpos"]))
-    positions = places(env, readings)
-    lower, upper = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
-    return View(tuple(lower), tuple(upper))
+    start = places(env, jax.tree.map(lambda x: x[:1], readings))
+    radius = env.sparse_radius
+    points = np.concatenate([goals - radius, goals + radius, objects.reshape(-1, 2), start])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _MARGIN * (high - low).max()
+    return View(tuple((low - margin).tolist()), tuple((high + margin).tolist()))
 
 
 def _model(env: AnyEnv) -> str | os.PathLike[str]:

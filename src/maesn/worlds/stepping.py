@@ -15,14 +15,12 @@ from jaxtyping import Array, Bool, Float, UInt8
 
 from maesn.axes import HostReadings
 from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, Start
-from maesn.physics import NativeSimulator, PhysicsError
+from maesn.physics import NativeSimulator
 
 Controls: TypeAlias = Float[np.ndarray, "simulation control"]
 Ended: TypeAlias = Bool[np.ndarray, " simulation"]
 Renderer: TypeAlias = Callable[[int], list[UInt8[np.ndarray, "height width 3"]]]
 """Returns pictures of the present states of that many simulations, the first ones."""
-
-_CLOSED = "there is no episode to be stepped: begin one, or make a new one"
 
 
 class AbstractStepper(ABC):
@@ -84,31 +82,28 @@ class NativeStepper(AbstractStepper):
         self._env = env
         self._num_threads = num_threads
         self._simulators: dict[int, NativeSimulator] = {}
-        self._current: NativeSimulator | None = None
 
     def begin(self, start: Start, tasks: Any) -> HostReadings:
         qpos, qvel, fields = jax.tree.map(np.asarray, tuple(start))
-        self._current = self._simulators.get(len(qpos)) or self._new(len(qpos))
-        return _single(self._current.reset(qpos, qvel, fields))
+        return _single(self._simulator(len(qpos)).reset(qpos, qvel, fields))
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
-        if self._current is None:
-            raise RuntimeError(_CLOSED)
-        return _single(self._current.step(control, abandoned=ended))
+        return _single(self._simulator(len(control)).step(control, abandoned=ended))
 
     def close(self) -> None:
-        self._simulators, self._current = {}, None
+        self._simulators = {}
 
-    def _new(self, num_simulations: int) -> NativeSimulator:
-        env = self._env
-        self._simulators[num_simulations] = NativeSimulator(
-            env.model,
-            num_simulations,
-            readings=env.readings,
-            frame_skip=env.frame_skip,
-            num_threads=self._num_threads,
-            nonfinite=env.nonfinite,
-        )
+    def _simulator(self, num_simulations: int) -> NativeSimulator:
+        if num_simulations not in self._simulators:
+            env = self._env
+            self._simulators[num_simulations] = NativeSimulator(
+                env.model,
+                num_simulations,
+                readings=env.readings,
+                frame_skip=env.frame_skip,
+                num_threads=self._num_threads,
+                nonfinite=env.nonfinite,
+            )
         return self._simulators[num_simulations]
 
 
@@ -126,21 +121,11 @@ class DeviceStepper(AbstractStepper):
         self._state: dict[str, np.ndarray] = {}
 
     def begin(self, start: Start, tasks: Any) -> HostReadings:
-        if start.model_fields:
-            raise ValueError(
-                f"`model_fields` must be empty for `{self._env.name}`, which has no MuJoCo model, "
-                f"got {', '.join(start.model_fields)}: move the dynamics into `advance`"
-            )
         readings = {"qpos": start.qpos, "qvel": start.qvel}
         self._state = {name: np.array(value, np.float32) for name, value in readings.items()}
         return self._state
 
     def step(self, control: Controls, ended: Ended) -> HostReadings:
-        if not self._state:
-            raise RuntimeError(_CLOSED)
-        bad = ~np.isfinite(control).all(axis=1) & ~ended
-        if bad.any():
-            raise PhysicsError(int(np.argmax(bad)), "the control is not finite")
         moved = _advance(self._env, self._state, control.astype(np.float32))
         self._state = {name: np.array(value) for name, value in moved.items()}
         return self._state

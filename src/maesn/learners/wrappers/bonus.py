@@ -13,7 +13,6 @@ from maesn.axes import Key, TaskKeys
 from maesn.context import AbstractContext
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.experience.transitions import check_observed
 from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
 from maesn.numerics.tasks import map_tasks
@@ -60,7 +59,6 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
             )
         if can.has_bonus:
             raise ValueError("`learner` must not have a bonus already: it would be added twice.")
-        check_observed(self.observation_size)
 
     def init(self, keys: TaskKeys) -> BonusFastState:
         learner_keys, model_keys, keys = jnp.moveaxis(

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Key
 from maesn.experience.episodes import Episodes
-from maesn.experience.transitions import Scale, Transitions, check_observed, transitions
+from maesn.experience.transitions import Scale, Transitions, transitions
 from maesn.networks import BayesianNetwork, init_bayesian_network
 from maesn.numerics import DiagonalGaussian, Ring, first_order_step
 from maesn.settings import check_least, check_positive, check_sizes
@@ -102,7 +102,11 @@ class CuriosityBonus(eqx.Module):
 
     def init(self, key: Key, observation_size: int, action_size: int) -> CuriosityState:
         """Return an untrained model; raises `ValueError` if there is nothing to predict."""
-        check_observed(observation_size)
+        if observation_size < 1:
+            raise ValueError(
+                f"`observation_size` must be at least 1, got {observation_size}: curiosity "
+                "predicts observations, and there are none."
+            )
         sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
         network = init_bayesian_network(key, sizes, self.prior_std)
         pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
