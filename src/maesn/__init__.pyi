@@ -35,9 +35,7 @@ from maesn.learners import SCRATCH as SCRATCH
 from maesn.learners import AbstractFastLearner as AbstractFastLearner
 from maesn.learners import AbstractMetaLearner as AbstractMetaLearner
 from maesn.learners import AbstractSettableLatent as AbstractSettableLatent
-from maesn.learners import BonusFastLearner as BonusFastLearner
 from maesn.learners import Capabilities as Capabilities
-from maesn.learners import FineTuning as FineTuning
 from maesn.learners import PolicyImprovement as PolicyImprovement
 from maesn.learners import Problem as Problem
 from maesn.learners import recommended as recommended
@@ -76,7 +74,9 @@ from maesn.learners.varibad.encoder import BeliefEncoderSettings as BeliefEncode
 from maesn.learners.varibad.inference import BeliefInference as BeliefInference
 from maesn.learners.varibad.meta_learner import VaribadMetaLearner as VaribadMetaLearner
 from maesn.learners.varibad.value import BeliefValue as BeliefValue
+from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
+from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
 from maesn.numerics import MinibatchDescent as MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion as TrustRegion
 from maesn.policies import AbstractPolicy as AbstractPolicy

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from small_runs import tiny_maesn, tiny_settings
 
-from maesn import api, cli
+from maesn import BonusFastLearner, FineTuning, api, cli
 from maesn.envs import point
 from maesn.evaluation.evaluation import Evaluation
-from maesn.learners import PRESETS, BonusFastLearner, CuriosityBonus, FineTuning
+from maesn.learners import PRESETS, CuriosityBonus
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.reporting.reading import read_adaptation
 from maesn.rules import (

@@ -10,16 +10,10 @@ import pytest
 from learning_problems.transitions import linear_episodes
 from playing import keys
 
+from maesn import BonusFastLearner, FineTuning
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
-from maesn.learners import (
-    SCRATCH,
-    AbstractFastLearner,
-    BonusFastLearner,
-    FineTuning,
-    PolicyImprovement,
-    Purpose,
-)
+from maesn.learners import SCRATCH, AbstractFastLearner, PolicyImprovement, Purpose
 from maesn.learners.wrappers.curiosity import CuriosityBonus
 
 SMALL = CuriosityBonus(hidden_sizes=(4,), updates=5, pool_size=40, pool_additions=20, samples=2)

@@ -12,10 +12,10 @@ from playing import assert_same, keys
 from reference.advantage import experience
 from reference.maesn import Agent, inner_update, start
 
-from maesn import maesn, maesn_theta, maml, rl2
+from maesn import FineTuning, maesn, maesn_theta, maml, rl2
 from maesn.context import Latent
 from maesn.inner.adaptation import Adaptation, InnerStep
-from maesn.learners import PRESETS, SCRATCH, Capabilities, FineTuning, Problem
+from maesn.learners import PRESETS, SCRATCH, Capabilities, Problem
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.presets import latent_space

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from playing import keys
 
-from maesn import PolicyGradient, PolicyImprovement, maesn, rl2
+from maesn import BonusFastLearner, FineTuning, PolicyGradient, PolicyImprovement, maesn, rl2
 from maesn.envs import point
 from maesn.experience.episodes import concatenate
-from maesn.learners import SCRATCH, TRPO, BonusFastLearner, FineTuning, GradientStep, Problem
+from maesn.learners import SCRATCH, TRPO, GradientStep, Problem
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.policy_steps import AbstractPolicyStep
@@ -125,7 +125,7 @@ def test_recurrent_policies_are_refused_at_construction() -> None:
     with pytest.raises(ValueError, match="`learner` must learn from rewards"):
         BonusFastLearner(recurrent, CuriosityBonus(), 2, 2)
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0: curiosity"):
-        SCRATCH["vime"](0, 2)
+        SCRATCH["vime"](0, 2).init(keys(1))
 
 
 def test_the_normalisation_of_observations_stays(collect: Collector) -> None:

@@ -8,14 +8,14 @@ from maesn.learners.meta import AbstractMetaLearner as AbstractMetaLearner
 from maesn.learners.meta import Problem as Problem
 from maesn.learners.policy_steps import GradientStep as GradientStep
 from maesn.learners.presets import PRESETS as PRESETS
+from maesn.learners.presets import fine_tuned as fine_tuned
 from maesn.learners.presets import method_name as method_name
+from maesn.learners.presets import with_curiosity as with_curiosity
 from maesn.learners.recommended import recommended as recommended
 from maesn.learners.recommended import recommended_run as recommended_run
 from maesn.learners.scratch.baselines import baselines as baselines
 from maesn.learners.scratch.policy_gradient import SCRATCH as SCRATCH
 from maesn.learners.scratch.policy_gradient import TRPO as TRPO
 from maesn.learners.scratch.policy_gradient import PolicyImprovement as PolicyImprovement
-from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
 from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH
-from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning

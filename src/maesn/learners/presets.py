@@ -9,13 +9,18 @@ from typing import Any
 
 from maesn.context import BiasContext, LatentContext, NoContext, OracleContext
 from maesn.inner.adaptation import Adaptation, InnerStep, StepSchedule
+from maesn.learners.fast import AbstractFastLearner
 from maesn.learners.gradient.meta_learner import GradientMetaLearner
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.meta import AbstractMetaLearner
 from maesn.learners.pearl.meta_learner import PearlMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
+from maesn.learners.scratch.policy_gradient import PolicyImprovement
 from maesn.learners.varibad.meta_learner import VaribadMetaLearner
+from maesn.learners.wrappers.bonus import BonusFastLearner
+from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.learners.wrappers.fine_tuning import FineTuning
 from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.
@@ -169,6 +174,24 @@ def varibad(**settings: Any) -> VaribadMetaLearner:
     task; docs/explanation/methods/varibad.md lists those of GridNavi and of point goals.
     """
     return VaribadMetaLearner(**settings)
+
+
+def fine_tuned(
+    learner: AbstractFastLearner[Any], improvement: PolicyImprovement, after: int
+) -> AbstractFastLearner[Any]:
+    """Return a learner whose policy's weights follow `improvement` after so many episodes."""
+    # Inside of a bonus, so that the weights learn from the bonus as well.
+    return learner.inside(lambda one: FineTuning(one, improvement, after))
+
+
+def with_curiosity(
+    learner: AbstractFastLearner[Any],
+    curiosity: CuriosityBonus,
+    observation_size: int,
+    action_size: int,
+) -> AbstractFastLearner[Any]:
+    """Return a learner that also gets a bonus for what it finds out, as in VIME."""
+    return BonusFastLearner(learner, curiosity, observation_size, action_size)
 
 
 PRESETS: dict[str, Callable[..., AbstractMetaLearner[Any, Any]]] = {

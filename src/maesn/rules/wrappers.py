@@ -10,11 +10,11 @@ from maesn.learners import (
     LEAST_BATCH,
     TRPO,
     AbstractFastLearner,
-    BonusFastLearner,
     CuriosityBonus,
-    FineTuning,
     GradientStep,
     PolicyImprovement,
+    fine_tuned,
+    with_curiosity,
 )
 from maesn.rules.base import AbstractWrapper
 from maesn.settings import check_number
@@ -51,8 +51,7 @@ class AbstractThen(AbstractWrapper):
             )
 
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
-        # Inside of a bonus, so that the weights learn from the bonus as well.
-        return learner.inside(lambda one: FineTuning(one, self.improvement, self.after))
+        return fine_tuned(learner, self.improvement, self.after)
 
 
 class ThenTrpo(AbstractThen):
@@ -96,4 +95,4 @@ class VimeBonus(AbstractWrapper):
     """Settings of the bonus."""
 
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
-        return BonusFastLearner(learner, self.curiosity, env.observation_size, env.action_size)
+        return with_curiosity(learner, self.curiosity, env.observation_size, env.action_size)
