@@ -23,6 +23,7 @@ from maesn.learners.policy_steps import AbstractPolicyStep
 from maesn.learners.trial_value import AbstractTrialValue
 from maesn.learners.trials import Trials
 from maesn.numerics import masked_mean, trial_advantages
+from maesn.numerics.mesh import refuse_sharing
 from maesn.policies import AbstractPolicy, AbstractPolicySettings
 from maesn.settings import check_least, check_number
 
@@ -123,7 +124,8 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
         return replace(self, policy=self.policy.for_actions(kind))
 
     def check_batch(self, episodes_per_task: int) -> None:
-        """A trial is a sample, and no minibatch is empty."""
+        """One device learns. A trial is a sample, and no minibatch is empty."""
+        refuse_sharing()
         trials = self.meta_batch_size * episodes_per_task
         parts = {
             "policy_step": self.policy_step.minibatches,

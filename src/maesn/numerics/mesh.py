@@ -62,11 +62,11 @@ def num_devices() -> int:
     return 1 if mesh is None else mesh.size
 
 
-def refuse_sharing(method: str) -> None:
+def refuse_sharing() -> None:
     """Refuse by ValueError several devices for a method that learns on one."""
     if num_devices() > 1:
         raise ValueError(
-            f"`{method}` learns on one device, but {num_devices()} share the tasks: train it "
+            f"this method learns on one device, but {num_devices()} share the tasks: train it "
             "without sharing."
         )
 

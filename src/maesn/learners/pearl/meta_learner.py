@@ -171,7 +171,7 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
 
     def check_batch(self, episodes_per_task: int) -> None:
         """One device learns, because one holds the replay."""
-        refuse_sharing("pearl")
+        refuse_sharing()
 
     def fast_learner(self, state: PearlState) -> PearlFastLearner:
         networks = state.networks

@@ -29,7 +29,6 @@ from maesn.learners.trial_meta import (
 from maesn.learners.trial_value import ValueState, explained_variance
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import at_once, standardize
-from maesn.numerics.mesh import refuse_sharing
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
 
 
@@ -99,10 +98,6 @@ class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, Recurren
     def slots(self) -> tuple[Any, ...]:
         """Return how the policy is improved."""
         return (type(self), type(self.policy_step))
-
-    def check_batch(self, episodes_per_task: int) -> None:
-        refuse_sharing("rl2")
-        super().check_batch(episodes_per_task)
 
     def fast_learner(self, state: RecurrentMetaState) -> RecurrentFastLearner:
         return RecurrentFastLearner(state.policy, self.trial_episodes)

@@ -42,7 +42,6 @@ from maesn.numerics import (
     masked_mean,
     standardize,
 )
-from maesn.numerics.mesh import refuse_sharing
 from maesn.numerics.normalization import no_observations
 from maesn.policies import AbstractPolicySettings, GaussianMLP
 from maesn.settings import check_choice
@@ -178,10 +177,6 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
 
     def effort(self, steps: int, iterations: int) -> int:
         return 4 * steps  # encoder, decoder and policy go through trials step by step
-
-    def check_batch(self, episodes_per_task: int) -> None:
-        refuse_sharing("varibad")
-        super().check_batch(episodes_per_task)
 
     def fast_learner(self, state: VaribadState) -> RecurrentFastLearner:
         """Return the learner of new tasks: without noise, as the reference evaluates it."""
