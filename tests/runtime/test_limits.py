@@ -13,7 +13,7 @@ from runtime.robot import fast_learner, policy_file
 from strangers import Arm, Skip
 
 from maesn.axes import Readings
-from maesn.envs import Ant, AnyEnv, BlockPush, Wheeled, ant, blockpush
+from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Wheeled, ant, blockpush
 from maesn.envs.foreign import gymnasium_family
 from maesn.physics import NativeSimulator
 from maesn.runs.export import Stated, exported_policy
@@ -140,9 +140,14 @@ class Odd(Wheeled):
         )
 
 
-def test_observations_are_clipped_as_in_the_simulation() -> None:
+def test_observations_are_named_after_what_they_copy_and_clipped_alike() -> None:
     env, unlimited = Odd(), [np.inf] * 4
     sensors = probe_sensors(env, None)
+    assert sensors.names == (
+        "10 * qvel[5] left_wheel + 2",
+        "-1 * qpos[0] x",
+        *["computed by `wheeled`"] * 4,
+    )
     assert sensors.upper.tolist() == [np.inf, 1.0, *unlimited]
     assert sensors.lower.tolist() == [-np.inf, -0.5, *np.negative(unlimited)]
     explorer = Explorer(export(env, None), seed=0)
@@ -154,20 +159,20 @@ def test_observations_are_clipped_as_in_the_simulation() -> None:
     np.testing.assert_array_equal(*played.controls)
 
 
-def test_what_the_families_clip_is_known() -> None:
+def test_the_families_name_their_sensors() -> None:
     walker = probe_sensors(Ant(), ant.task_set("training")[0])
-    clipped = (np.arange(125) >= 29) & (np.arange(125) < 113)
-    np.testing.assert_array_equal(walker.upper, np.where(clipped, 1.0, np.inf))
-    np.testing.assert_array_equal(walker.lower, np.where(clipped, -1.0, -np.inf))
+    assert walker.names[7] == "qpos[7] hip_1"
+    assert walker.names[29] == "cfrc_ext[0, 0]"
+    assert walker.names[113] == "computed by `ant`"
+    assert walker.upper[28:31].tolist() == [np.inf, 1.0, 1.0]
     pusher = probe_sensors(BlockPush(variant="paper"), blockpush.task_set("training")[0])
-    assert np.isinf(pusher.upper).sum() == 28  # the instruction is one of them
-
-
-class Named(Driven):
-    """A cart that says what it shows."""
-
-    def observation_names(self) -> tuple[str, ...]:
-        return "place", "speed"
+    assert pusher.names[3] == "qpos[3] block_0_x + 0.2"
+    assert pusher.names[-2:] == ("instruction[0]", "instruction[1]")
+    point = FAMILIES["point"]
+    assert probe_sensors(point.make_env(), point.task_set("training")[0]).names == (
+        "qpos[0]",
+        "qpos[1]",
+    )
 
 
 def test_actions_are_drawn_for_the_purposes_for_which_the_simulation_draws_them(
@@ -184,14 +189,14 @@ def test_actions_are_drawn_for_the_purposes_for_which_the_simulation_draws_them(
 
 
 def test_the_table_names_every_sensor_and_actuator_of_a_small_robot() -> None:
-    table = dict(facts(export(Named(reach=0.25))))
-    assert table["observation 1"] == "speed"
+    table = dict(facts(export(Driven(reach=0.25))))
+    assert table["observation 1"] == "qvel[0] rail"
     assert table["control 0"] == "push, 1 * action, limits -0.2 to 0.25"
     assert table["control period"] == "0.01 s"
     assert table["episode"] == "12 steps, 0.12 s"
     assert table["actions to deploy"] == "the mean"
     many = dict(facts(export(Ant(), None)))
-    assert many["observation 29-112"] == "as `observe` returns it, clip -1 to 1"
+    assert many["observation 29-112"] == "cfrc_ext[0, 0] ... cfrc_ext[13, 5], clip -1 to 1"
     assert not [line for line in many if re.fullmatch(r"observation \d+", line)]
 
 

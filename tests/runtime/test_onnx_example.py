@@ -59,7 +59,7 @@ def test_the_file_says_what_a_robot_must_know(tmp_path: Path) -> None:
     example.write_onnx(path, exported_policy(fast_learner(env), env, {"task": 7}, (START, 3)))
     texts = session(path).get_modelmeta().custom_metadata_map
     said = {name: json.loads(text) for name, text in texts.items()}
-    assert said["observations"] == [""] * 6  # it names none
+    assert said["observations"][1] == "-1 * qpos[0] x"
     assert said["actuators"] == ["right_motor", "left_motor"]
     assert (said["lower"], said["upper"]) == ([-2.0, -2.0], [2.0, 2.0])
     assert said["observation_upper"] == [None, 1.0, None, None, None, None]

@@ -108,7 +108,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         """Return what the agent sees of the world."""
 
     def observation_names(self) -> tuple[str, ...]:
-        """Return names of the components of an observation, for people to check; or none."""
+        """Return names of the components of an observation; none if `observe` tells them."""
         return ()
 
     def instruction(self, task: Task) -> Float[Array, " instruction"]:

@@ -9,6 +9,7 @@ from maesn.physics.base import PhysicsError as PhysicsError
 from maesn.physics.base import Readings as Readings
 from maesn.physics.interface import field_values as field_values
 from maesn.physics.interface import model_actuators as model_actuators
+from maesn.physics.interface import reading_owners as reading_owners
 from maesn.physics.interface import resting_readings as resting_readings
 from maesn.physics.loading import load_model as load_model
 from maesn.physics.native import NativeSimulator as NativeSimulator

@@ -1,4 +1,4 @@
-"""What a model has: readings, fields and actuators, and which controls it lets through."""
+"""What a model calls its readings, fields and actuators, and which controls it lets through."""
 
 import os
 from collections.abc import Sequence
@@ -8,6 +8,14 @@ import numpy as np
 
 from maesn.physics.base import find_field
 from maesn.physics.loading import load_model
+
+_OBJECT = mujoco.mjtObj
+# Readings that are laid out object by object: the kind of object, and where each one begins.
+_LAYOUTS = {
+    "qpos": (_OBJECT.mjOBJ_JOINT, "jnt_qposadr"),
+    "qvel": (_OBJECT.mjOBJ_JOINT, "jnt_dofadr"),
+    "sensordata": (_OBJECT.mjOBJ_SENSOR, "sensor_adr"),
+}
 
 
 def model_actuators(
@@ -21,8 +29,20 @@ def model_actuators(
     clips = not compiled.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     limited = compiled.actuator_ctrllimited.astype(bool) & clips
     lower, upper = compiled.actuator_ctrlrange.T
-    names = tuple(compiled.actuator(index).name for index in range(compiled.nu))
+    names = tuple(_name(compiled, _OBJECT.mjOBJ_ACTUATOR, i) for i in range(compiled.nu))
     return names, np.where(limited, lower, -np.inf), np.where(limited, upper, np.inf)
+
+
+def reading_owners(model: str | os.PathLike[str], reading: str, size: int) -> tuple[str, ...]:
+    """Return the joint or sensor that each number of a reading belongs to; "" where none does.
+
+    The reading is a field of `mujoco.MjData` of that many numbers.
+    """
+    if reading not in _LAYOUTS:
+        return ("",) * size
+    compiled, (kind, start) = load_model(model), _LAYOUTS[reading]
+    owner = np.searchsorted(getattr(compiled, start), np.arange(size), side="right") - 1
+    return tuple(_name(compiled, kind, int(index)) for index in owner)
 
 
 def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -37,3 +57,7 @@ def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, n
 def field_values(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return fields of a model, or "opt.<field>" of its options, as `find_field` finds them."""
     return {name: np.asarray(getattr(*find_field(model, name))) for name in names}
+
+
+def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+    return mujoco.mj_id2name(model, kind, index) or ""

@@ -1,19 +1,24 @@
 """What an environment does to observations and actions, read off its own functions."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from itertools import repeat
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AnyEnv
-from maesn.physics import load_model, model_actuators, resting_readings
+from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulatedEnv, AnyEnv
+from maesn.physics import load_model, model_actuators, reading_owners, resting_readings
 from maesn.runtime import Actuators, Sensors
 from maesn.runtime.arrays import float64
+
+Shapes: TypeAlias = tuple[tuple[str, tuple[int, ...]], ...]
+"""Name and shape of each of some readings."""
 
 # An input far outside of every range: what it leads to is a limit. What grows with the input to
 # half that size has none.
@@ -21,7 +26,7 @@ _FAR = 1e6
 _PROBE_STEP = 2.0**-10  # powers of two, so that the scale is exact in single precision
 _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
-_NEAR = 0.01  # standard deviation of the smallest probes
+_NEAR = 0.01  # standard deviation of inputs that are not clipped
 
 
 def probe_actuators(env: AnyEnv) -> Actuators:
@@ -58,28 +63,62 @@ def probe_actuators(env: AnyEnv) -> Actuators:
 
 
 def probe_sensors(env: AnyEnv, task: Any) -> Sensors:
-    """Return the names of an observation's components, and what each one is clipped to.
+    """Return what each component of an observation is, and what it is clipped to.
 
-    A limit is what a component gets to far out and never passes. It is read off readings of all
-    sizes; without one of its tasks, an environment in JAX has none of a known shape.
+    A component that is one number of the readings, scaled, shifted or clipped, is named after it.
+    Any other is named after the function that computes it. Without one of its tasks, an environment
+    in JAX has readings without names.
     """
     size = env.observation_size
-    lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
-    shapes = _reading_shapes(env, task)
-    if shapes:
+    far = np.full(size, np.inf)
+    sensors = Sensors((_computed(env),) * size, -far, far)
+    if isinstance(env, AbstractMujocoEnv) or (
+        task is not None and isinstance(env, AbstractPureEnv)
+    ):
+        sensors = _copies(env, task)
+    return replace(sensors, names=env.observation_names() or sensors.names)
 
-        def observe(number: float) -> np.ndarray:
-            return _observed(env, {name: np.full((1, *one), number) for name, one in shapes})[0]
 
-        low, high = _limits(observe)
-        probes = {name: _probes(*one, seed=seed) for seed, (name, one) in enumerate(shapes)}
-        seen = _observed(env, probes)
-        within = (low - _TOLERANCE <= seen) & (seen <= high + _TOLERANCE)
-        clips = within.all(axis=0) & (low < high)
-        # The instruction, which comes last, is not clipped.
-        lower[: low.size] = np.where(clips, low, -np.inf)
-        upper[: low.size] = np.where(clips, high, np.inf)
-    return Sensors(env.observation_names() or ("",) * size, lower, upper)
+def _computed(env: AnyEnv) -> str:
+    return f"computed by `{env.name}`"
+
+
+def _copies(env: AbstractSimulatedEnv[Any], task: Any) -> Sensors:
+    """Return the sensors of an environment, with names of what is copied from the readings."""
+    readings = _at_rest(env, task)
+    labels = [label for name, value in readings.items() for label in _labels(env, name, value)]
+    shapes = tuple((name, value.shape) for name, value in readings.items())
+    rest = np.concatenate([np.ravel(value) for value in readings.values()])
+
+    def observe(flat: np.ndarray) -> np.ndarray:
+        return float64(_observations(env, shapes, flat.astype(np.float32)))
+
+    near = rest + _NEAR * np.random.default_rng(1).standard_normal(rest.size)
+    slope = float64(_slopes(env, shapes, near.astype(np.float32)))
+    offset = observe(near[None])[0]
+    source = np.abs(slope).argmax(axis=1)
+    scale = np.take_along_axis(slope, source[:, None], axis=1)[:, 0]
+    offset -= scale * near[source]
+    offset[np.abs(offset) < _TOLERANCE] = 0.0
+    lower, upper = _limits(lambda x: observe(np.full((1, rest.size), x))[0])
+    copied = Actuators(offset, scale, lower, upper)  # the same form
+    fits = (slope != 0).sum(axis=1) == 1
+    probes = _probes(rest.size)
+    copies = copied.control(probes[:, source])
+    fits &= np.isclose(copies, observe(probes), _TOLERANCE, _TOLERANCE).all(axis=0)
+    names = [
+        _written(labels[source[index]], scale[index], offset[index])
+        if fits[index]
+        else _computed(env)
+        for index in range(len(offset))
+    ]
+    instructions = [f"instruction[{index}]" for index in range(env.observation_size - len(names))]
+    free = np.full(len(instructions), np.inf)
+    return Sensors(
+        (*names, *instructions),
+        np.append(np.where(fits, lower, -np.inf), -free),
+        np.append(np.where(fits, upper, np.inf), free),
+    )
 
 
 # Compiled once for equal environments.
@@ -88,31 +127,48 @@ def _controls(env: AnyEnv, actions: Array) -> Array:
     return jax.vmap(env.control)(actions)
 
 
-def _observed(env: AnyEnv, readings: dict[str, np.ndarray]) -> np.ndarray:
-    """Return what an environment makes of readings `[state, ...]`, `[state, component]`."""
-    return float64(_observations(env, {n: x.astype(np.float32) for n, x in readings.items()}))
+@partial(jax.jit, static_argnums=(0, 1))
+def _observations(env: AnyEnv, shapes: Shapes, flat: Array) -> Array:
+    return jax.vmap(partial(_observed, env, shapes))(flat)
 
 
-@partial(jax.jit, static_argnums=0)
-def _observations(env: AnyEnv, readings: dict[str, Array]) -> Array:
-    return jax.vmap(env.observe)(readings)
+@partial(jax.jit, static_argnums=(0, 1))
+def _slopes(env: AnyEnv, shapes: Shapes, flat: Array) -> Array:
+    return jax.jacfwd(partial(_observed, env, shapes))(flat)
 
 
-def _reading_shapes(env: AnyEnv, task: Any) -> list[tuple[str, tuple[int, ...]]]:
-    """Return name and shape of each reading; none of an environment that only others move."""
-    readings: dict[str, Any] = {}
+def _observed(env: AnyEnv, shapes: Shapes, flat: Array) -> Array:
+    """Return the observation of readings that stand one behind the other in an array."""
+    sizes = [math.prod(shape) for _, shape in shapes]
+    parts = jnp.split(flat, np.cumsum(sizes)[:-1])
+    pairs = zip(shapes, parts, strict=True)
+    return env.observe({name: part.reshape(shape) for (name, shape), part in pairs})
+
+
+def _at_rest(env: AbstractSimulatedEnv[Any], task: Any) -> dict[str, np.ndarray]:
     if isinstance(env, AbstractMujocoEnv):
-        readings = resting_readings(load_model(env.model), env.readings)
-    elif isinstance(env, AbstractPureEnv) and task is not None:
-        start = jax.eval_shape(env.start, jax.random.key(0), jax.tree.map(jnp.asarray, task))
-        readings = {"qpos": start.qpos, "qvel": start.qvel}
-    return [(name, value.shape) for name, value in readings.items()]
+        return resting_readings(load_model(env.model), env.readings)
+    start = env.start(jax.random.key(0), jax.tree.map(jnp.asarray, task))
+    return {"qpos": np.asarray(start.qpos), "qvel": np.asarray(start.qvel)}
 
 
-def _probes(*shape: int, seed: int = 0) -> np.ndarray:
-    """Return random inputs of all sizes, `[probe, *shape]`."""
-    sizes = np.geomspace(_NEAR, _FAR, _NUM_PROBES).reshape(-1, *(1 for _ in shape))
-    return sizes * np.random.default_rng(seed).standard_normal((_NUM_PROBES, *shape))
+def _labels(env: AnyEnv, name: str, value: np.ndarray) -> list[str]:
+    owners: Iterable[str] = repeat("", value.size)
+    if isinstance(env, AbstractMujocoEnv):
+        owners = reading_owners(env.model, name, value.size)
+    places = (f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape))
+    return [place + (f" {own}" if own else "") for place, own in zip(places, owners, strict=True)]
+
+
+def _written(label: str, scale: float, offset: float) -> str:
+    scaled = label if np.isclose(scale, 1.0) else f"{scale:.6g} * {label}"
+    return scaled if offset == 0 else f"{scaled} {'+' if offset > 0 else '-'} {abs(offset):.6g}"
+
+
+def _probes(size: int) -> np.ndarray:
+    """Return random inputs of all sizes, `[probe, size]`."""
+    sizes = np.geomspace(_NEAR, _FAR, _NUM_PROBES)[:, None]
+    return sizes * np.random.default_rng(0).standard_normal((_NUM_PROBES, size))
 
 
 def _limits(function: Callable[[float], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

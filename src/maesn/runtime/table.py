@@ -10,7 +10,7 @@ from maesn.runtime.arrays import FloatArray
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.sensors import Sensors
 
-_FEW = 30  # components with names that have a row each; of more, neighbours share one
+_FEW = 30  # components that have a row each; of more, neighbours share one
 _ABOUT = ("family", "method", "iteration", "task", "maesn_version")
 
 
@@ -50,18 +50,18 @@ def _reward(exported: ExportedPolicy) -> Iterator[tuple[str, str]]:
 def _observations(sensors: Sensors) -> Iterator[tuple[str, str]]:
     """Yield a row for each component of an observation, or for neighbours of one kind."""
     limits = _limits("clip", sensors.lower, sensors.upper)
-    names = [name or "as `observe` returns it" for name in sensors.names]
-    has_rows = any(sensors.names) and len(names) <= _FEW
+    components = list(zip(sensors.names, limits, strict=True))
 
     def kind(index: int) -> object:
-        return index if has_rows else (names[index].partition("[")[0], limits[index])
+        name, limit = components[index]
+        return index if len(components) <= _FEW else (name.partition("[")[0], limit)
 
-    for _, group in groupby(range(len(names)), key=kind):
+    for _, group in groupby(range(len(components)), key=kind):
         places = list(group)
         ends = dict.fromkeys((places[0], places[-1]))  # one, or two
-        shown = dict.fromkeys(names[end] for end in ends)
+        names = dict.fromkeys(components[end][0] for end in ends)
         place = "-".join(map(str, ends))
-        yield f"observation {place}", _joined(" ... ".join(shown), limits[places[0]])
+        yield f"observation {place}", _joined(" ... ".join(names), components[places[0]][1])
 
 
 def _controls(actuators: Actuators) -> Iterator[tuple[str, str]]:
