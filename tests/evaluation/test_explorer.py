@@ -107,9 +107,8 @@ def test_a_belief_is_that_of_the_agent_and_predicts_cell_by_cell(tmp_path: Path)
     assert belief.mean.shape == (2, 31, 5)
     expected = chances[[0, 3, 1], [0, 1, 4]]
     np.testing.assert_allclose(belief.predicted, np.broadcast_to(expected, (2, 31, 3)), rtol=1e-4)
-    for moment, agent in ((0, states[0]), (15, states[1]), (30, states[2])):
+    for moment, trial in ((0, states[0]), (15, states[1]), (30, states[2])):
         policy = state.networks.policy
-        trial = agent.trial_state
         hidden = policy.encoder.initial()[None] if trial is None else trial.recurrent_state.hidden
         after = jax.vmap(policy.encoder.posterior)(hidden.reshape(-1, hidden.shape[-1]))
         found = np.stack([belief.mean[:, moment], belief.std[:, moment]])
