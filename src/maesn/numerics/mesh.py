@@ -158,4 +158,4 @@ def gather(tree: Tree) -> Tree:
 def mean_of_valid(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:
     """Return the mean of the valid elements of all devices."""
     count = total(jnp.sum(valid, dtype=values.dtype))
-    return total(jnp.sum(jnp.where(valid, values, 0.0))) / jnp.maximum(count, 1.0)
+    return total(jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(count, 1.0))
