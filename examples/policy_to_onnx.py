@@ -8,6 +8,7 @@ The network takes `observation` and `z`, `[batch, ...]` each. It returns `contro
 actuators are sent at the mean action, and this `action` itself, for those who add noise to explore.
 """
 
+import argparse
 import json
 import os
 import sys
@@ -25,7 +26,13 @@ _OPSET, _IR_VERSION = 17, 8
 
 
 def write_onnx(path: str | os.PathLike[str], exported: ExportedPolicy) -> None:
-    """Write a policy as an ONNX file, with all that a robot must know as metadata, in JSON."""
+    """Write a policy as an ONNX file, with all that a robot must know as metadata, in JSON.
+
+    Raises:
+        ValueError: the policy searches, which a network cannot.
+    """
+    if exported.search is not None:
+        raise ValueError("a network cannot search: export without `--rule`, and with `--latents`.")
     model = onnx.helper.make_model(
         _graph(exported),
         opset_imports=[onnx.helper.make_opsetid("", _OPSET)],
@@ -115,10 +122,19 @@ def _inside(limit: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[n
     return np.where(outside, np.nextafter(single, other.astype(np.float32)), single)
 
 
+def main() -> None:
+    """Convert a file, and show what a robot gets and must give."""
+    parser = argparse.ArgumentParser(description="Write an exported policy as an ONNX file.")
+    parser.add_argument("source", help=".npz file of `maesn export`")
+    parser.add_argument("target", help=".onnx file to write")
+    asked = parser.parse_args()
+    try:
+        policy = Explorer.load(asked.source).exported
+        write_onnx(asked.target, policy)
+    except (OSError, ValueError) as error:
+        sys.exit(str(error))
+    print(*(f"{what:20s} {value}" for what, value in facts(policy)), asked.target, sep="\n")
+
+
 if __name__ == "__main__":
-    source, target = sys.argv[1:]
-    policy = Explorer.load(source).exported
-    if policy.search is not None:
-        sys.exit("a network cannot search: export without `--rule`, and with `--latents`.")
-    write_onnx(target, policy)
-    print(*(f"{what:20s} {value}" for what, value in facts(policy)), target, sep="\n")
+    main()

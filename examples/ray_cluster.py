@@ -66,11 +66,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("study", help="a .toml file, or the name of a study of the library")
     parser.add_argument("--out", type=Path, required=True, help="directory that all nodes see")
-    parser.add_argument("--workers", type=int, default=1, help="jobs at a time")
+    parser.add_argument("--workers", type=int, required=True, help="jobs at a time")
     asked = parser.parse_args()
-    study = maesn.Study.load(asked.study)
-    executor = Ray(asked.workers, study.spec.threads, asked.out / "jobs")
-    study.run(asked.out, executor=executor, say=print)
+    try:
+        study = maesn.Study.load(asked.study)
+        executor = Ray(asked.workers, study.spec.threads, asked.out / "jobs")
+        study.run(asked.out, executor=executor, say=print)
+    except maesn.RunError as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":

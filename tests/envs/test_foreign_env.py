@@ -138,6 +138,8 @@ def test_figures_get_positions_where_the_family_has_them() -> None:
     )
     env = family.make_env()
     assert env.planar
+    assert env.observation_names()[0] == "observation[0]"
+    assert len(env.observation_names()) == env.observation_size
     np.testing.assert_array_equal(env.position(jnp.arange(10.0)), [8, 9])
     np.testing.assert_array_equal(env.goal(jnp.arange(4.0)), [0, 1])
 

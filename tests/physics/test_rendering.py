@@ -31,6 +31,13 @@ FLOATING = """
   </worldbody>
 </mujoco>
 """
+SWINGING = """
+<mujoco>
+  <worldbody>
+    <body><joint type="hinge" axis="0 1 0"/><geom size="0.2" pos="1 0 0" mass="1"/></body>
+  </worldbody>
+</mujoco>
+"""
 
 
 def arranged(model: str | Path, view: View = VIEW, aspect: float = 1.5, **given: object) -> object:
@@ -71,6 +78,11 @@ def test_a_model_without_floor_and_light_gets_both(bare: Path) -> None:
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     (floor,) = shapes(arranged(FLOATING), plane)
     assert floor.pos[2] == pytest.approx(-0.7 - 0.2)
+    swung = load_model(SWINGING)
+    arm = _Arrangement(swung, VIEW, 1.5)
+    marks = Marks(goal=np.zeros(2), radius=0.7, judged=np.zeros(2), trail=NOWHERE)
+    heights = [shapes(arm.of(np.array([q]), marks), plane)[0].pos[2] for q in (0.0, 1.5)]
+    assert heights[0] == heights[1]
     assert len(shapes(arranged(bare), plane)) == 1  # its own
     lit, dark = load_model("wheeled"), load_model(FLOATING)
     for model in (lit, dark):

@@ -110,6 +110,8 @@ def test_the_command_shows_what_a_robot_is_sent_and_replaces_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["export", "wheeled", str(tmp_path / "wheeled.npz")]
+    assert cli.run(["export", "wheeled", str(tmp_path / "wheeled.onnx")]) == cli.USAGE_ERROR
+    assert "policy_to_onnx.py" in capsys.readouterr().err
     assert cli.run([*command, "--upper", "1.5"]) == 0
     said = capsys.readouterr().out
     assert "right_motor, 2 * action, limits -2 to 1.5" in said

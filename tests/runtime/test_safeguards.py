@@ -117,3 +117,9 @@ def test_what_leaves_is_finite_or_refused(policy: Path, number: str) -> None:
             assert contents(explorer) == before
     assert refused or number == "offset"
     assert all("must be finite, but the action" in message for message in refused)
+
+
+def test_limits_may_be_numbers_of_numpy(policy: Path, tmp_path: Path) -> None:
+    explorer = Explorer.load(policy, safeguards=Safeguards(max_latent_norm=np.float64(2)))
+    explorer.save(tmp_path / "saved.npz")
+    assert Explorer.load(tmp_path / "saved.npz").safeguards.max_latent_norm == 2.0

@@ -131,6 +131,7 @@ def test_every_array_is_needed(policy: Path, tmp_path: Path) -> None:
         ("state.running.purpose", "rest", "`state.running.purpose` must be of type"),
         ("safeguards.lower", "low", "`safeguards.lower` must be of type float"),
         ("random_state.state", 3, "`random_state` is damaged"),
+        ("random_state", None, "`state` and `random_state` belong together"),
     ],
 )
 def test_senseless_entries_are_refused(

@@ -67,7 +67,22 @@ def test_what_is_infinite_in_single_precision_is_refused(number: float, reward: 
             ask() if reward else pool.begin([pack_task(None)], [0])
 
 
-def test_an_error_is_described_in_few_characters() -> None:
-    text = described(ValueError("a" + "b" * 10_000_000 + "c"))
-    assert text.startswith("ValueError: ab")
+class Nameless(Exception):
+    """Cannot even say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ValueError("x"), "ValueError: x"),
+        (Nameless(), "Nameless: (its message cannot be shown)"),
+        (ValueError("a" + "b" * 10_000_000 + "c"), "ValueError: ab"),
+    ],
+)
+def test_an_error_is_described_in_few_characters(error: Exception, said: str) -> None:
+    text = described(error)
+    assert text.startswith(said)
     assert len(text) < 1100

@@ -91,6 +91,10 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         seen = readings["observation"], self.control(action), next_readings["observation"]
         return Reward(goal=self.recipe.reward(*seen, task, self.reward_kind), other=jnp.zeros(()))
 
+    def observation_names(self) -> tuple[str, ...]:
+        """Return the parts of the space, in order."""
+        return tuple(self.interface.spaces["observation"][1])
+
     def situation(self, task: Any) -> Any:
         """Return what of a task an episode depends on, as the family says."""
         return task if self.recipe.situation is None else self.recipe.situation(task)

@@ -26,6 +26,11 @@ def export_run(
     stated: Stated,
 ) -> None:
     """Write the last checkpoint of a run as `maesn.export` says, whose arguments these are."""
+    if path.suffix == ".onnx":
+        raise RunError(
+            f"`{path}` would be no ONNX file: export an .npz file, and convert it by "
+            "examples/policy_to_onnx.py."
+        )
     checkpoint, env = run.latest(), run.env()
     about: dict[str, Any] = {"method": run.settings.method, "iteration": checkpoint.iteration}
     start = search = None

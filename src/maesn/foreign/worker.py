@@ -304,8 +304,12 @@ def unpacked(parts: tuple[str, tuple[int, ...], bytes]) -> np.ndarray:
 
 
 def described(error: BaseException) -> str:
-    """Return type and message of an error, which may be long."""
-    return _shortened(f"{type(error).__name__}: {error}")
+    """Return type and message of an error. The message may be long, or raise an error itself."""
+    try:
+        message = str(error)
+    except Exception:  # noqa: BLE001
+        message = "(its message cannot be shown)"
+    return _shortened(f"{type(error).__name__}: {message}")
 
 
 def _raised(error: BaseException) -> str:

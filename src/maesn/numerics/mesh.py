@@ -66,8 +66,7 @@ def refuse_sharing() -> None:
     """Refuse by ValueError several devices for a method that learns on one."""
     if num_devices() > 1:
         raise ValueError(
-            f"this method learns on one device, but {num_devices()} share the tasks: train it "
-            "without sharing."
+            f"this method learns on one device, got `devices` {num_devices()}: leave it out."
         )
 
 

@@ -107,6 +107,8 @@ class _Arrangement:
         self._side = 1.0 if view is None else float(np.ptp(view, axis=0).max())
         self._marker = _GoalMarker(model, _GOAL_SHARE * self._side)
         self._has_floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
+        mujoco.mj_kinematics(model, self._data)
+        self._lowest = (self._data.geom_xpos[:, 2] - model.geom_rbound).min(initial=0.0)
         if not model.nlight:
             model.vis.headlight.ambient[:] = model.vis.headlight.diffuse[:] = _BRIGHT
 
@@ -123,8 +125,7 @@ class _Arrangement:
         if marks is not None:
             self._marker.add_to(self._scene, marks)
             if not self._has_floor:
-                lowest = (self._data.geom_xpos[:, 2] - self._model.geom_rbound).min(initial=0.0)
-                size, place = (10 * self._side, 10 * self._side, 0.1), (*marks.goal, lowest)
+                size, place = (10 * self._side, 10 * self._side, 0.1), (*marks.goal, self._lowest)
                 _shape(self._scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, _FLOOR_COLOUR)
             height = self._marker.height(self._data) + _LINE_SHARE * self._side
             way = np.stack([marks.judged, marks.goal])

@@ -43,6 +43,8 @@ def decoded(kind: type[Record], arrays: Arrays, document: Any) -> Record:
 
 
 def _encoded(value: Any, name: str, arrays: Arrays) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
     if isinstance(value, np.ndarray | list):
         arrays[name] = np.asarray(value)
         return None

@@ -39,6 +39,8 @@ class Snapshot:
     def __post_init__(self) -> None:
         if self.state is not None:
             self.state.check_sizes(self.exported)
+        if (self.random_state is None) != (self.state is None):
+            raise ValueError("`state` and `random_state` belong together, but one is missing.")
         if self.random_state is not None:
             try:
                 np.random.default_rng(0).bit_generator.state = self.random_state

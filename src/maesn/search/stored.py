@@ -166,9 +166,8 @@ def find_prior(
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             allow = ", or allow it by `any_reward=true`" if what == "reward" else ""
             raise RunError(
-                f"`{path}` was made for another {what} than that of `{run.directory}` and its "
-                "new tasks: make it again by "
-                f"`{_command(run, world.env, action_noise)}`{allow}."
+                f"`{path}` was made for another {what} than `{run.directory}` has here: make it "
+                f"again by `{_command(run, world.env, action_noise)}`{allow}."
             )
     return prior
 

@@ -59,7 +59,7 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
     task = jax.tree.map(jnp.asarray, task)
     start = jax.eval_shape(env.start, jax.random.key(0), task)
     action = jnp.zeros(env.action_size)
-    control = jax.eval_shape(env.control, action)
+    control = _control(env, action)
     readings: Any = {"qpos": start.qpos, "qvel": start.qvel}
     if isinstance(env, AbstractPureEnv):
         moved = jax.eval_shape(env.advance, readings, control)
@@ -87,6 +87,16 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
         yield "position", jax.eval_shape(env.position, seen), (2,)
         yield "position", jax.eval_shape(env.position, jnp.zeros(env.observation_size)), (2,)
         yield "goal", jax.eval_shape(env.goal, task), (2,)
+
+
+def _control(env: AbstractSimulatedEnv[Any], action: Array) -> Any:
+    try:
+        return jax.eval_shape(env.control, action)
+    except TypeError as error:  # of JAX, where shapes do not fit
+        raise EnvContractError(
+            f"`{env.name}`: `control` must take an action of `action_size` {env.action_size} "
+            f"numbers, but JAX says: {' '.join(str(error).split())}"
+        ) from error
 
 
 def _check_period(env: AbstractMujocoEnv[Any], timestep: float) -> None:
