@@ -5,8 +5,10 @@
 
 `field/results.csv.gz` has the return of each seed in each task; `field/lines.csv` what the training
 of each seed took, and what the seeds that are not done would take. A training that several lines
-need is counted in each of them. `field/published.csv` has numbers of others, and limits. The table
-is `field/table.md`, the figure docs/figures/field.png.
+need is counted in each of them. A seed that is in these files stays there, also if the studies'
+directory lacks it, as long as its job is the same: several machines can each do a part.
+`field/published.csv` has numbers of others, and limits. The table is `field/table.md`, the figure
+docs/figures/field.png.
 """
 
 import dataclasses
@@ -32,7 +34,7 @@ HERE = Path(__file__).parent / "field"
 RESULTS, LINES, PUBLISHED = map(HERE.joinpath, ("results.csv.gz", "lines.csv", "published.csv"))
 RESULT = ("family", "line", "seed", "task", "episodes", "return", "success")
 LINE = ("family", "line", "label", "kind", "tasks", "protocol", "trained_for", "seed", "purpose")
-LINE += ("steps", "training", "iteration", "hours_left")  # seconds, seconds, hours
+LINE += ("steps", "training", "iteration", "hours_left", "job")  # seconds, seconds, hours, digest
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
 FEWEST_SEEDS = 3  # of a line that is shown: one seed says little
@@ -54,12 +56,13 @@ Returns = Float[np.ndarray, "seed task"]
 
 def collect(studies: Sequence[str], out: Path) -> None:
     """Write the raw results of studies, and what their lines took or would take."""
+    kept = _by_job()
     results: list[dict[str, Any]] = []
     lines: list[dict[str, Any]] = []
     for study in map(Study.load, studies):
         directory, execution = out / study.spec.name, study.execution(out)
         if out.resolve() != HERE.parent.resolve():  # where studies may be pruned
-            directory.mkdir(exist_ok=True)
+            directory.mkdir(parents=True, exist_ok=True)
             study.write_results(out)
         manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
         worlds = {world["name"]: world for world in manifest.get("comparisons", ())}
@@ -73,9 +76,13 @@ def collect(studies: Sequence[str], out: Path) -> None:
                 about["trained_for"] = line.trial_episodes
                 done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
                 for member, jobs in line.seeds:
-                    row = about | {"seed": member.seed}
+                    row = about | {"seed": member.seed, "job": jobs[-1].rpartition("-")[2]}
                     if (one := done.get(member.seed)) is None:
-                        lines.append(row | {"hours_left": execution.hours_left(jobs)})
+                        if (address := _address(row)) in kept:
+                            lines.append(kept[address][0])
+                            results += kept[address][1]
+                        else:
+                            lines.append(row | {"hours_left": execution.hours_left(jobs)})
                         continue
                     table = read_adaptation(directory / one["table"])
                     row |= {"purpose": table.purpose, "steps": one["training_steps"]}
@@ -90,6 +97,22 @@ def collect(studies: Sequence[str], out: Path) -> None:
                         )
     for path, rows, names in ((LINES, lines, LINE), (RESULTS, results, RESULT)):
         write_rows(path, [{name: _short(row.get(name)) for name in names} for row in rows])
+
+
+def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
+    """Return the seeds that are in the files, each with its results, by `_address`."""
+    results, lines = _by_line(RESULTS), _by_line(LINES)
+    return {
+        _address(row): (row, [one for one in results.get(name, ()) if one["seed"] == row["seed"]])
+        for name, seeds in lines.items()
+        for row in seeds
+        if not row["hours_left"]
+    }
+
+
+def _address(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what must be the same for the results of a seed to be the same."""
+    return tuple(str(row[name]) for name in ("family", "line", "seed", "job"))
 
 
 def _short(value: Any) -> str:

@@ -11,6 +11,7 @@ from scripts import load_script
 
 from maesn.reporting import statistics
 from maesn.storage import write_rows
+from maesn.studies.study import Study
 
 COUNTS = (0, 1, 2, 3, 5, 10, 20)
 
@@ -113,3 +114,27 @@ def test_the_figure_shows_the_families_whose_lines_are_all_there(field: ModuleTy
     write_rows(field.LINES, kept)
     field.main()
     assert (field.HERE / "field.png").exists()
+
+
+def test_what_is_done_stays_where_the_studies_directory_lacks_it(
+    field: ModuleType, tmp_path: Path
+) -> None:
+    file = tmp_path / "small.toml"
+    file.write_text('family = "point"\nseeds = [0, 1, 2]\n[runs.maesn]\n')
+    (line,) = Study.load(file).comparisons[0].lines["lines"]
+    done, changed, _ = ((member.seed, jobs[-1].rpartition("-")[2]) for member, jobs in line.seeds)
+    rows = [
+        {"family": "point", "line": "maesn", "seed": seed, "job": job, "steps": 5}
+        for seed, job in (done, (changed[0], "of-other-settings"))
+    ]
+    write_rows(field.LINES, [dict.fromkeys(field.LINE, "") | row for row in rows])
+    results = [
+        {"family": "point", "line": "maesn", "seed": seed, "task": 0, "episodes": 20}
+        for seed in (done[0], changed[0])
+    ]
+    write_rows(field.RESULTS, [dict.fromkeys(field.RESULT, "1") | row for row in results])
+    field.collect([str(file)], tmp_path / "elsewhere")
+    found = {row["seed"]: row for row in field.read_rows(field.LINES) if row["line"] == "maesn"}
+    assert (found["0"]["steps"], found["0"]["hours_left"]) == ("5", "")
+    assert all(float(found[seed]["hours_left"]) > 0 for seed in "12")
+    assert [row["seed"] for row in field.read_rows(field.RESULTS)] == ["0"]
