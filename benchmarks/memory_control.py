@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from maesn.envs import RewardKind
-from maesn.experience.trial_state import TrialState
+from maesn.experience.agent import TrialState
 from maesn.runs.run import Run
 from maesn.worlds.collector import Collector
 

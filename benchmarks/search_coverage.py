@@ -73,7 +73,7 @@ def scores(run: Run, tasks: str) -> Iterator[tuple[str, Score]]:
     generator = np.random.default_rng(0)
     with closing(run.world(run.task_set(tasks), "sparse")) as world:
         settings = SearchRule().settings
-        model = settings.model(read_prior(prior_file(run, world))[0])
+        model = settings.model(read_prior(prior_file(run, world.env))[0])
         latent = latent_of(run.learner.fast_learner(run.latest_state()))
         learner, collect = SearchFastLearner(latent, model, settings), Collector(world, 1)
         keys = jax.random.split(jax.random.key(0), collect.num_tasks)
@@ -81,7 +81,7 @@ def scores(run: Run, tasks: str) -> Iterator[tuple[str, Score]]:
 
         def played(points: list[int], stream: int) -> Iterator[tuple[LatentSearch, Reading]]:
             chosen = state.searches
-            latents = [one.latent(point) for one, point in zip(chosen, points, strict=True)]
+            latents = [one.points[point] for one, point in zip(chosen, points, strict=True)]
             agents = learner.steered.holding(np.asarray(latents, np.float32))
             agents = replace(agents, is_noisy=False)
             episodes = collect(jax.vmap(jax.random.fold_in, (0, None))(keys, stream), agents, slots)

@@ -84,7 +84,7 @@ def search(settings: Settings) -> Searched:
         state: Any = learner.init(keys)
         for episode in range(max(SHOWN) + 1):
             searches.append(state.searches[0])
-            played.append(state.searches[0].latent(state.chosen[0][0]))
+            played.append(state.searches[0].points[state.chosen[0][0]])
             episode_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, episode)
             episodes = collect(episode_keys, learner.agents(state), slot)
             paths.append(np.asarray(jax.vmap(world.env.position)(episodes.observation[0, 0])))
@@ -113,7 +113,7 @@ def draw_beliefs(found: Searched) -> Figure:
                 *np.stack(found.played[:count]).T, "o", color="white", ms=3, mec="black", mew=0.5
             )
         one = found.searches[count]
-        panel.plot(*one.latent(one.best), "*", color=style.VERMILLION, ms=8, mec="white", mew=0.6)
+        panel.plot(*one.points[one.best], "*", color=style.VERMILLION, ms=8, mec="white", mew=0.6)
         panel.set(
             title=f"after {count} episode{'s' * (count != 1)}", xlabel="$z_1$", aspect="equal"
         )

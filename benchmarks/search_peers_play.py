@@ -70,7 +70,7 @@ class Search(Protocol):
 def prior_of(run: Run) -> ReturnPrior:
     """Return the prior of a run for its sparse reward."""
     with closing(run.world(reward_kind="sparse")) as world:
-        return read_prior(prior_file(run, world))[0]
+        return read_prior(prior_file(run, world.env))[0]
 
 
 def recorded(name: str, tasks: str, out: Path) -> Recorded:

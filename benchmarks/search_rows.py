@@ -85,7 +85,7 @@ def evaluation(
         reward, share = line.prior
         radius = share * run.env().sparse_radius
         with closing(run.world(reward_kind=reward, sparse_radius=radius)) as world:
-            path = prior_file(run, world)
+            path = prior_file(run, world.env)
         if not path.exists():
             run_prior(run, reward=reward, sparse_radius=radius)
         rule = SearchRule(prior=str(path), any_reward=True)
@@ -143,7 +143,7 @@ def archive_returns(run: Run, tasks: str, out: Path) -> tuple[ReturnPrior, np.nd
         The prior of the run; returns and lengths, `[task, latent, episode]`.
     """
     with closing(run.world(run.task_set(tasks), "sparse")) as world:
-        prior, _ = read_prior(prior_file(run, world))
+        prior, _ = read_prior(prior_file(run, world.env))
         path = out / f"{run.directory.name}-archive.npz"
         if not path.exists():
             latent = latent_of(run.learner.fast_learner(run.latest_state()))

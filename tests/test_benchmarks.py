@@ -19,7 +19,7 @@ from carts import MOTOR, CartTask, cart_on
 from playing import constant_agents, keys
 
 from maesn.envs import AbstractMujocoEnv, Ant, BlockPush, TaskSet, Wheeled, find_family
-from maesn.experience.trial_state import TrialState
+from maesn.experience.agent import TrialState
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

@@ -18,7 +18,7 @@ from maesn.commands import options, train
 from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.gradient.outer import FirstOrderInfo
 from maesn.learners.policy_steps import ProximalInfo
-from maesn.learners.recurrent.meta_learner import RecurrentInfo
+from maesn.learners.trial_meta import TrialInfo
 from maesn.learners.varibad.inference import InferenceInfo
 from maesn.learners.varibad.meta_learner import VaribadInfo
 from maesn.numerics.trust_region import TrustRegionInfo
@@ -139,7 +139,7 @@ def test_the_site_describes_every_method_and_every_public_name(
     ("prefix", "info"),
     [
         ("", GradientInfo),
-        ("", RecurrentInfo),
+        ("", TrialInfo),
         ("", VaribadInfo),
         ("inference/", InferenceInfo),
         ("shares/", GroupShares),

@@ -117,7 +117,7 @@ def make_robot(name: str, size: Size) -> Robot:
     """Record a robot that comes with the library."""
     run = Run.open(name)
     with closing(run.world(reward_kind="sparse")) as world:
-        stored, env = read_prior(prior_file(run, world))[0], world.env
+        stored, env = read_prior(prior_file(run, world.env))[0], world.env
     chosen = covering(stored, size.latents)
     draws = np.random.default_rng(SEED).standard_normal((size.draws, stored.latents.shape[1]))
     scenes = [

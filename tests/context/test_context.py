@@ -78,7 +78,8 @@ def test_draws() -> None:
     bias = Bias(jnp.asarray([3.0, 4.0, 5.0]))
     np.testing.assert_array_equal(bias.draw(jnp.zeros(0), jnp.zeros(0)), [3.0, 4.0, 5.0])
     assert Nothing().draw(jnp.zeros(0), jnp.zeros(0)).shape == (0,)
-    sizes = [(value.size, value.noise_size) for value in (latent, bias, Nothing())]
+    draw = jax.random.key(0), jnp.zeros((), int)
+    sizes = [(value.size, value.noise(*draw).size) for value in (latent, bias, Nothing())]
     assert sizes == [(2, 2), (3, 0), (0, 0)]
 
 

@@ -66,7 +66,7 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     recorded = read_recorded(RecordedSearches, run.directory / SEARCHES)
     assert recorded is not None
     with closing(run.world(reward_kind="sparse")) as world:
-        prior = find_prior(run, run.latest_state(), world, action_noise=False)
+        prior = find_prior(run, run.latest_state(), world.env, action_noise=False)
     model = SearchRule().settings.model(prior)
     first = exploration.LatentSearch.start(model, SearchRule().settings)
     means = first.posterior.mean

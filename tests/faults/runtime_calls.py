@@ -173,7 +173,7 @@ def propose(stream: random.Random, explorer: Explorer, _: Path) -> Answer:
 
 def add_result(stream: random.Random, explorer: Explorer, _: Path) -> Answer:
     search = explorer._state.search
-    z = [0.0, 0.0] if search is None or stream.random() < 0.2 else search.latent(0)
+    z = [0.0, 0.0] if search is None or stream.random() < 0.2 else search.points[0]
     explorer.add_result(z, _vector(stream, 3))
     return explorer, ""
 

@@ -10,7 +10,12 @@ from maesn.context import Latent, LatentContext
 from maesn.experience.agent import Agent
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import Advantages
-from maesn.inner.surrogate import inner_loss, outer_loss, post_distributions
+from maesn.inner.surrogate import (
+    action_distributions,
+    inner_loss,
+    outer_loss,
+    post_distributions,
+)
 from maesn.networks.mlp import MLP, Linear
 from maesn.numerics import DiagonalGaussian
 from maesn.policies import GaussianMLPPolicy
@@ -88,12 +93,14 @@ def test_the_likelihood_ratio_keeps_the_latent_that_was_played() -> None:
     # Elsewhere on the line search the latent has moved; what was played has not.
     agent = linear_agent()
     episodes = one_step_episodes(agent, 3)
-    moved = Latent(agent.context.mean + 1.0, agent.context.log_std)
-    for gradient, kept in (("likelihood_ratio", True), ("reparameterized", False)):
+    moved = Agent(agent.policy, Latent(agent.context.mean + 1.0, agent.context.log_std))
+    advantages = Advantages(jnp.ones((3, 1)), jnp.zeros(3))
+    for gradient, shift in (("likelihood_ratio", 0.0), ("reparameterized", 1.0)):
         context = LatentContext(2, gradient=gradient)
-        drawn = context.inner_draw(moved, episodes.noise[0], episodes.z[0])
-        shift = 0.0 if kept else 1.0
-        np.testing.assert_allclose(drawn, episodes.z[0] + shift, rtol=1e-5)
+        new = action_distributions(moved, episodes, episodes.z + shift)
+        wanted = -new.log_prob(episodes.action).mean()
+        found = inner_loss(moved, context, episodes, advantages)
+        np.testing.assert_allclose(found, wanted, rtol=1e-5)
 
 
 def test_outer_loss_by_hand() -> None:

@@ -168,6 +168,12 @@ def test_a_search_may_set_its_latent() -> None:
     held = latent.holding(found)
     episodes = collect(jax.random.split(jax.random.key(1), 2), held, jnp.arange(2))
     np.testing.assert_allclose(episodes.z[:, 0], found, atol=1e-4)
+    # Another latent in each of the episodes that are played side by side.
+    several = np.random.default_rng(0).normal(size=(2, EPISODES, 2))
+    episodes = collect(
+        jax.random.split(jax.random.key(1), 2), latent.holding(several), jnp.arange(2)
+    )
+    np.testing.assert_allclose(episodes.z, several, atol=1e-4)
 
 
 # Runs.
@@ -182,7 +188,7 @@ def test_the_context_may_show_sparse_reward_while_training_learns_from_dense(
 ) -> None:
     run = finish(create(tmp_path / "run", tiny(context_reward="sparse")), iterations=1)
     replay = run.latest_state().replay
-    rows = replay._batch(replay.rings.rows)
+    rows = replay.rings.rows
     is_row = np.asarray(rows.reward) != 0
     assert (np.asarray(rows.reward)[is_row] < -1).all()
     # Far from the goal the context shows the same in all tasks, but for the cost of control.

@@ -14,7 +14,7 @@ from maesn import BeliefDecoderSettings, BeliefEncoderSettings, BeliefInference,
 from maesn.learners.varibad.decoder import Decoder
 from maesn.learners.varibad.encoder import BeliefEncoder
 from maesn.learners.varibad.inference import Draws, previous
-from maesn.learners.varibad.steps import Steps, TrialBuffer
+from maesn.learners.varibad.steps import Steps, empty_buffer
 from maesn.numerics import DiagonalGaussian
 
 TIME, LATENT, OBSERVATION, ACTION = 6, 3, 2, 2
@@ -211,7 +211,7 @@ def test_a_learned_belief_predicts_the_rewards_of_a_trial_as_bayes_does() -> Non
     number = 3000
     task = stream.integers(0, 2, number)
     rewards = (stream.random((number, PULLS)) < CHANCES[task][:, None]).astype(np.float32)
-    buffer = TrialBuffer.empty(number, PULLS, 1, 1).extend(pulls(rewards))
+    buffer = empty_buffer(number, PULLS, 1, 1).extend(pulls(rewards), jnp.ones(number, bool))
     settings = BeliefDecoderSettings((16,), "bernoulli")
     inference = BeliefInference(kl_weight=1e-3, updates=800, batch_size=64, learning_rate=5e-3)
     one = BeliefEncoderSettings(2, (8,), 16).init(jax.random.key(0), 1, 1)
@@ -239,9 +239,10 @@ def test_a_learned_belief_predicts_the_rewards_of_a_trial_as_bayes_does() -> Non
 
 def test_the_buffer_returns_what_was_added_and_forgets_the_oldest() -> None:
     trials = jax.tree.map(lambda *x: jnp.stack(x), *(trial(seed) for seed in range(5)))
-    buffer = TrialBuffer.empty(3, TIME, OBSERVATION, ACTION)
+    buffer = empty_buffer(3, TIME, OBSERVATION, ACTION)
     for part in (slice(0, 2), slice(2, 5)):
-        buffer = buffer.extend(jax.tree.map(lambda x, part=part: x[part], trials))
+        some = jax.tree.map(lambda x, part=part: x[part], trials)
+        buffer = buffer.extend(some, jnp.ones(len(some.valid), bool))
     drawn = buffer.sample(jax.random.key(0), 40)
     found = set()
     for row in range(40):

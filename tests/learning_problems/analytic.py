@@ -47,7 +47,8 @@ class AnalyticCollect:
 
     def _episode(self, rng: np.random.Generator, agents: Agents, slot: int, goal: Array) -> Episode:
         theta = policy_of(agents, slot)
-        noise = rng.normal(size=agents.context.noise_size)
+        size = agents.context.size if isinstance(agents.context, Latent) else 0
+        noise = rng.normal(size=size)
         drawn = draw(agents.context, slot, noise)
         std = np.exp(action_log_std(theta))
         position = 0.1 * rng.normal(size=2)

@@ -1,14 +1,21 @@
 """Conjugate gradients against SciPy's, direct solutions and degenerate systems."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse.linalg
 
-from maesn.numerics import CGSolution, conjugate_gradient
+from maesn.numerics import conjugate_gradient
 
 SIZE = 8
+
+
+class Solved(NamedTuple):
+    solution: jax.Array
+    residual_norm: jax.Array
 
 
 def _system(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -24,9 +31,9 @@ def _solve(
     target: np.ndarray | jax.Array,
     num_steps: int,
     residual_tolerance: float = 1e-10,
-) -> CGSolution:
+) -> Solved:
     matrix, target = jnp.asarray(matrix, jnp.float32), jnp.asarray(target, jnp.float32)
-    return conjugate_gradient(lambda v: matrix @ v, target, num_steps, residual_tolerance)
+    return Solved(*conjugate_gradient(lambda v: matrix @ v, target, num_steps, residual_tolerance))
 
 
 @pytest.mark.parametrize("num_steps", [0, 1, 2, 3, 5])
@@ -108,8 +115,3 @@ def test_vmap_over_systems_equals_one_system_at_a_time() -> None:
     expected = [_solve(matrix, target, 4) for matrix, target in systems]
     np.testing.assert_allclose(actual.solution, [e.solution for e in expected], atol=1e-5)
     np.testing.assert_allclose(actual.residual_norm, [e.residual_norm for e in expected], atol=1e-5)
-
-
-def test_a_negative_number_of_steps_is_refused() -> None:
-    with pytest.raises(ValueError, match="`num_steps`"):
-        _solve(np.eye(2), np.ones(2), -1)

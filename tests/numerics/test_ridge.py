@@ -174,9 +174,3 @@ def test_nan_in_a_used_row_is_visible() -> None:
     features, target = _small()
     features[3, 2] = np.nan
     assert np.all(np.isnan(_solve(features, target)))
-
-
-@pytest.mark.parametrize("ridge", [0.0, -1.0, float("nan")])
-def test_a_ridge_that_is_not_positive_is_refused(ridge: float) -> None:
-    with pytest.raises(ValueError, match="`ridge` must be positive"):
-        _solve(*_small(), ridge=ridge)

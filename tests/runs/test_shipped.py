@@ -79,8 +79,7 @@ def test_each_can_be_exported_without_a_copy(name: str, folder: Path) -> None:
 def test_a_prior_for_another_radius_goes_into_a_copy(folder: Path) -> None:
     run = Run.open("wheeled")
     places = {
-        radius: prior_file(run, run.world(reward_kind="sparse", sparse_radius=radius)).parents[1]
-        for radius in (None, 1.5)
+        radius: prior_file(run, run.env("sparse", radius)).parents[1] for radius in (None, 1.5)
     }
     assert places == {None: TRAINED / "wheeled", 1.5: Path("maesn-wheeled")}
 

@@ -45,8 +45,8 @@ def test_the_network_is_the_runtime(env: AnyEnv, tmp_path: Path) -> None:
         wanted.append((control, explorer.end_episode([0.0]).actions[0]))
     feed = {"observation": np.float32(seen), "z": np.float32(latents)}
     control, action = network.run(["control", "action"], feed)
-    np.testing.assert_allclose(control, [one for one, _ in wanted], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(action, [one for _, one in wanted], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(control, [one for one, _ in wanted], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(action, [one for _, one in wanted], rtol=1e-4, atol=1e-5)
     alone = network.run(None, {name: x[:1] for name, x in feed.items()})[0]
     np.testing.assert_allclose(alone, control[:1], rtol=1e-6)
     # Not even rounding leads beyond a limit: .2 in single precision is above .2.

@@ -58,7 +58,7 @@ def searched(
     chosen = []
     for _ in range(episodes):
         search, point = search.proposed(generator)
-        played = peak(search.latent(point), target) + shift + NOISE * noise.standard_normal()
+        played = peak(search.points[point], target) + shift + NOISE * noise.standard_normal()
         search = search.after([Reading(point, float(played))])
         chosen.append(point)
     return search, chosen
@@ -69,7 +69,7 @@ def deployed_values(settings: SearchSettings, episodes: int, number: int = 40) -
     found = []
     for index, target in enumerate(targets(number, seed=2)):
         search, _ = searched(search_of(settings=settings), target, episodes, -22.0, index)
-        found.append(peak(search.latent(search.best), target))
+        found.append(peak(search.points[search.best], target))
     return np.asarray(found)
 
 
@@ -178,13 +178,13 @@ def test_the_robot_chooses_as_the_library_does(policy: Path) -> None:
     for _ in range(12):
         z = explorer.begin_episode()
         search, point = search.proposed(generator)
-        assert z.tolist() == search.latent(point).tolist()
+        assert z.tolist() == search.points[point].tolist()
         value = float(peak(z, target)) - 20.0
         episode(explorer, value)
         explorer.adapt()
         total = float(np.full(Point().horizon, value / Point().horizon).sum())
         search = search.after([Reading(point, total)])
-    assert explorer.begin_episode(explore=False).tolist() == search.latent(search.best).tolist()
+    assert explorer.begin_episode(explore=False).tolist() == search.points[search.best].tolist()
     np.testing.assert_array_equal(explorer.beliefs.mean, search.posterior.mean)
     np.testing.assert_array_equal(explorer.beliefs.std, search.posterior.std)
     assert explorer.beliefs.interval == search.interval(search.best)
@@ -231,7 +231,7 @@ def test_four_robots_search_as_the_library_does_and_report_in_any_order(tmp_path
     expected = state.searches[0].beliefs.mean[: len(found)]  # the library has proposed again
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     assert len(found) > len(PRIOR.latents)  # some were drawn around the best
-    best = state.searches[0].latent(state.searches[0].best)
+    best = state.searches[0].points[state.searches[0].best]
     assert explorer.latent_mean.tolist() == best.tolist()
 
 

@@ -32,3 +32,4 @@ from maesn.context.values import Latent as Latent
 from maesn.context.values import LatentPerEpisode as LatentPerEpisode
 from maesn.context.values import Nothing as Nothing
 from maesn.context.values import TaskDescription as TaskDescription
+from maesn.context.values import held_at as held_at

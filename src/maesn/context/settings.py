@@ -34,19 +34,12 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
     def start_new(self, table: Value, num_tasks: int) -> Value:
         """Return the contexts that unseen tasks start from, stacked over `task`."""
 
-    def inner_draw(
-        self, value: Value, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
-    ) -> Float[Array, " z"]:
-        """Return the z of one episode inside the inner loss, where its gradient matters.
-
-        This is `drawn`, which the policy was fed, unless the gradient of the context runs through
-        it. The noise is the episode's recorded draw.
-        """
-        return drawn
-
     @property
     def is_pathwise(self) -> bool:
-        """Whether the inner gradient of the context runs through the policy."""
+        """Whether the inner gradient of the context runs through the policy.
+
+        The inner loss then draws z again, from the recorded noise; else z is as it was played.
+        """
         return False
 
     def draw_loss(
@@ -118,11 +111,6 @@ class BiasContext(AbstractContextSettings[Bias]):
     def start_new(self, table: Bias, num_tasks: int) -> Bias:
         return Bias(jnp.broadcast_to(table.value, (num_tasks, self.size)))
 
-    def inner_draw(
-        self, value: Bias, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
-    ) -> Float[Array, " z"]:
-        return value.value
-
 
 LatentGradient: TypeAlias = Literal["likelihood_ratio", "reparameterized"]
 
@@ -164,15 +152,6 @@ class LatentContext(AbstractContextSettings[Latent]):
         """Return the prior N(0, I) for every task (section "Using the Latent Spaces ...")."""
         zeros = jnp.zeros((num_tasks, self.size))
         return Latent(zeros, zeros)
-
-    def inner_draw(
-        self, value: Latent, noise: Float[Array, " noise"], drawn: Float[Array, " z"]
-    ) -> Float[Array, " z"]:
-        # The likelihood ratio needs the z that was played. Recomputing it from the noise would
-        # agree at the current parameters, but not along the line search of the outer step.
-        if self.gradient == "likelihood_ratio":
-            return drawn
-        return value.distribution.sample_from_noise(noise)
 
     def draw_loss(
         self,

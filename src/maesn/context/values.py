@@ -6,6 +6,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import Key
@@ -34,21 +35,16 @@ class AbstractContext(eqx.Module):
         """Number of components of z."""
 
     @property
-    def noise_size(self) -> int:
-        """Number of components of the noise of one z; 0 where z is not random."""
-        return 0
-
-    @property
     def description_size(self) -> int:
         """Number of components of the description that z is made of; 0 except for an oracle."""
         return 0
 
     def noise(self, key: Key, episode: Int[Array, ""]) -> Float[Array, " noise"]:
-        """Draw the noise of the z of one episode, by its key: standard normal, by default.
+        """Draw the noise of the z of one episode, by its key; by default nothing is random.
 
         The episode's index is that among those that are played side by side.
         """
-        return jax.random.normal(key, (self.noise_size,))
+        return jnp.zeros(0)
 
     def at_mean(self) -> "AbstractContext":
         """Return a context with z fixed at its mean: this one if z is not random."""
@@ -98,13 +94,13 @@ class Latent(AbstractContext):
         return self.mean.shape[-1]
 
     @property
-    def noise_size(self) -> int:
-        return self.mean.shape[-1]
-
-    @property
     def distribution(self) -> DiagonalGaussian:
         """q(z), the distribution that z is drawn from."""
         return DiagonalGaussian(self.mean, self.log_std)
+
+    def noise(self, key: Key, episode: Int[Array, ""]) -> Float[Array, " z"]:
+        """Draw standard normal noise."""
+        return jax.random.normal(key, (self.size,))
 
     def draw(
         self, noise: Float[Array, " noise"], description: Float[Array, " description"]
@@ -134,10 +130,6 @@ class LatentPerEpisode(AbstractContext):
     def size(self) -> int:
         return self.latents.shape[-1]
 
-    @property
-    def noise_size(self) -> int:
-        return self.latents.shape[-1]
-
     def noise(self, key: Key, episode: Int[Array, ""]) -> Float[Array, " z"]:
         """Return the episode's latent: nothing is random."""
         return self.latents[episode]
@@ -146,6 +138,12 @@ class LatentPerEpisode(AbstractContext):
         self, noise: Float[Array, " noise"], description: Float[Array, " description"]
     ) -> Float[Array, " z"]:
         return noise
+
+
+def held_at(latents: Float[ArrayLike, "task *episode z"]) -> Latent | LatentPerEpisode:
+    """Return contexts whose z is given: one for each task, or for each episode of it."""
+    held = jnp.asarray(latents, jnp.float32)
+    return Latent.fixed(held) if held.ndim == 2 else LatentPerEpisode(held)
 
 
 class TaskDescription(AbstractContext):

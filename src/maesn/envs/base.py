@@ -165,9 +165,6 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         near = env.solved(next_readings, task)
         return jnp.where(near, reward.goal, env.uninformative_reward) + reward.other
 
-    def check_shown(self, kind: ObservedReward) -> None:
-        """Raise ValueError for a kind of reward that policies cannot see here."""
-
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         """Whether the episode ends by nature in this state: never, unless overridden."""
         return jnp.zeros((), bool)

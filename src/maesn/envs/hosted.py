@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
-from maesn.axes import Action, Key, ObservedReward, Readings
+from maesn.axes import Action, Key, Readings
 from maesn.envs.base import AbstractEnv, Reward, RewardKind, Variant
 from maesn.foreign import Interface, WorkerPool
 
@@ -105,14 +105,6 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
         return WorkerPool(
             how.make_env, kind, self.interface.spaces, num_workers, how.time_limit, how.python
         )
-
-    def check_shown(self, kind: ObservedReward) -> None:
-        """Raise ValueError for another reward than the environment's: it gives one at a time."""
-        if kind not in ("own", self.reward_kind):
-            raise ValueError(
-                f"`{self.name}` gives the {self.reward_kind} reward alone, but the policy reads "
-                f"the {kind} one: set `reward` to {kind}, or the policy's `observed_reward` to own."
-            )
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return readings["terminated"] > 0

@@ -128,7 +128,7 @@ def record_explorer(run: Run) -> None:
             slots = jnp.zeros(len(keys[part]), int)
             played = collect(keys[part], latent.holding(latents[part]), slots)
             paths.append(_thinned(world.env, played)[:, 0])
-        has_prior = prior_file(run, world).exists()
+        has_prior = prior_file(run, world.env).exists()
     recorded = LatentPaths(latents, np.concatenate(paths))
     write_arrays(run.directory / LATENT_PATHS, vars(recorded))
     if has_prior:
@@ -192,7 +192,7 @@ def _searches(run: Run) -> RecordedSearches:
         returns=np.asarray(episodes.undiscounted_return),
         reached=np.asarray((episodes.valid & episodes.solved).any(-1), float),
         paths=_thinned(world.env, episodes),
-        deployed=np.array([[one.latent(one.best) for one in task] for task in searches]),
+        deployed=np.array([[one.points[one.best] for one in task] for task in searches]),
         mean=beliefs[:, :, 0],
         std=beliefs[:, :, 1],
         interval=np.array([[one.interval(one.best) for one in task] for task in searches]),
@@ -220,7 +220,7 @@ def _beliefs(search: LatentSearch) -> np.ndarray:
     """Return posterior mean and standard deviation over the plane, `[2, row, column]`."""
     axis = np.linspace(-_EDGE, _EDGE, _BELIEFS)
     plane = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    points = np.tile(search.latent(search.best), (len(plane), 1))
+    points = np.tile(search.points[search.best], (len(plane), 1))
     width = min(2, points.shape[1])
     points[:, :width] = plane[:, :width]
     more = search.posterior.extended(points)

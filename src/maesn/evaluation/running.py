@@ -58,7 +58,7 @@ def new_tasks(
     with closing(world):
         state = run.latest_state()
         check_policy(run.learner.player(state), world.env)
-        of_run = partial(find_prior, run, state, world, evaluation.action_noise)
+        of_run = partial(find_prior, run, state, world.env, evaluation.action_noise)
         trained = Trained(run.learner, state, of_run, evaluation.budget.per_update)
         yield world, evaluation.fast_learner(trained, run.settings.method, world.env)
 

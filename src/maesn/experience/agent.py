@@ -5,9 +5,10 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+from jaxtyping import Array, Float
 
+from maesn.axes import RecurrentState
 from maesn.context import AbstractContext
-from maesn.experience.trial_state import TrialState
 from maesn.numerics.normalization import ObservationStatistics
 from maesn.numerics.tasks import How, map_tasks
 from maesn.policies import AbstractPolicy, PolicyInput
@@ -26,6 +27,17 @@ class Agent(eqx.Module):
         if self.statistics is None:
             return received
         return received._replace(observation=self.statistics.normalized(received.observation))
+
+
+class TrialState(eqx.Module):
+    """State that an episode passes on to the next one of its trial."""
+
+    recurrent_state: RecurrentState
+    """The policy's own, `[*batch ...]`; None for a policy that is not recurrent."""
+    action: Float[Array, "*batch action"]
+    """The last action; 0 at the start of a trial."""
+    reward: Float[Array, "*batch"]
+    """The last reward that the policy received; 0 at the start of a trial."""
 
 
 class Agents(eqx.Module):

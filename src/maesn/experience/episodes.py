@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key, TaskKeys
-from maesn.experience.agent import Agents
-from maesn.experience.trial_state import TrialState
+from maesn.experience.agent import Agents, TrialState
 from maesn.numerics import AbstractDistribution, mesh
 from maesn.policies import PolicyInput
 

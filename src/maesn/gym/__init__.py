@@ -11,22 +11,10 @@ if find_spec("gymnasium") is None:
 
 import gymnasium
 
+from maesn.envs import FAMILIES
 from maesn.gym.env import TaskEnv as TaskEnv
 
-IDS: dict[str, str] = {
-    "wheeled": "maesn/Wheeled-v0",
-    "ant": "maesn/Ant-v0",
-    "blockpush": "maesn/BlockPush-v0",
-    "point": "maesn/Point-v0",
-    "sparse_point": "maesn/SparsePoint-v0",
-    "grid_navi": "maesn/GridNavi-v0",
-    "cheetah_vel": "maesn/CheetahVel-v0",
-    "cheetah_dir": "maesn/CheetahDir-v0",
-    "cheetah_body": "maesn/CheetahBody-v0",
-    "ant_dir": "maesn/AntDir-v0",
-    "ant_goal": "maesn/AntGoal-v0",
-    "sparse_ant_goal": "maesn/SparseAntGoal-v0",
-}
+IDS = {name: f"maesn/{type(family.make_env()).__name__}-v0" for name, family in FAMILIES.items()}
 """Family -> the name under which Gymnasium makes it."""
 
 for _family, _id in IDS.items():

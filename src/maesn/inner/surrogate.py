@@ -24,10 +24,13 @@ def inner_loss(
     ratio of section "Using the Latent Spaces for Exploration"; advantages as in the reference.)
     The gradient is taken with respect to the agent, which played the episodes before the step.
     """
-    drawn = jax.vmap(context.inner_draw, in_axes=(None, 0, 0))(
-        agent.context, episodes.noise, episodes.z
-    )
-    log_prob = action_distributions(agent, episodes, drawn).log_prob(_actions(episodes))
+    if context.is_pathwise:
+        new = post_distributions(agent, episodes)
+    else:
+        # The z that were played. Drawn again from the noise, they would agree at the current
+        # parameters, but not along the line search of the outer step.
+        new = action_distributions(agent, episodes, episodes.z)
+    log_prob = new.log_prob(_actions(episodes))
     action_loss = -masked_mean(log_prob * advantages.step, episodes.valid)
     return action_loss + context.draw_loss(agent.context, episodes.z, advantages.episode)
 

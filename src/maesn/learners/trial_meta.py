@@ -9,18 +9,17 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, TaskKeys
 from maesn.context import Nothing
-from maesn.experience.agent import Agents
+from maesn.experience.agent import Agents, TrialState
 from maesn.experience.episodes import Collect, Episodes
-from maesn.experience.trial_state import TrialState
 from maesn.learners.fast import AbstractFastLearner, Capabilities, Purpose
 from maesn.learners.meta import AbstractMetaLearner
 from maesn.learners.meta_batch import draw_tasks, task_keys
 from maesn.learners.policy_steps import AbstractPolicyStep
-from maesn.learners.trial_value import AbstractTrialValue
+from maesn.learners.trial_value import AbstractTrialValue, explained_variance
 from maesn.learners.trials import Trials
 from maesn.numerics import masked_mean, trial_advantages
 from maesn.numerics.mesh import refuse_sharing
@@ -32,7 +31,7 @@ Info = TypeVar("Info", bound="TrialInfo")
 
 
 class TrialInfo(eqx.Module):
-    """Info of what was played in one meta-iteration: scalars only."""
+    """Info of one meta-iteration: scalars only."""
 
     return_before: Float[Array, ""]
     """Mean undiscounted return of the first episodes of the trials."""
@@ -44,10 +43,21 @@ class TrialInfo(eqx.Module):
     """Mean standard deviation of the actions."""
     entropy: Float[Array, ""]
     """Mean entropy of the action distributions, in nats."""
+    explained_variance: Float[Array, ""]
+    """Share of the variance of the returns that the value function explained before the fit."""
+    value_accepted: Bool[Array, ""]
+    """False if the fitted value function was not finite: it stays as it was."""
+    policy_step: Any
+    """Info of the policy's step."""
 
 
-def describe_trials(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str, Float[Array, ""]]:
-    """Return the fields of `TrialInfo`."""
+def describe_trials(
+    episodes: tuple[Episodes, ...],
+    trials: Trials,
+    advantages: Float[Array, "trial time"],
+    expected: Float[Array, "trial time"],
+) -> dict[str, Float[Array, ""]]:
+    """Return the fields of `TrialInfo` but for those of the two fits."""
     first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
     return {
         "return_before": first.undiscounted_return.mean(),
@@ -55,6 +65,7 @@ def describe_trials(episodes: tuple[Episodes, ...], trials: Trials) -> dict[str,
         "success_after": last.success.mean(),
         "action_std": masked_mean(behaviour.std().mean(-1), trials.valid),
         "entropy": masked_mean(behaviour.entropy(), trials.valid),
+        "explained_variance": explained_variance(advantages, expected, trials.valid),
     }
 
 

@@ -1,7 +1,6 @@
 """Mathematics, without objects of reinforcement learning and without simulators."""
 
 from maesn.numerics.categorical import Categorical as Categorical
-from maesn.numerics.conjugate_gradient import CGSolution as CGSolution
 from maesn.numerics.conjugate_gradient import conjugate_gradient as conjugate_gradient
 from maesn.numerics.distribution import AbstractDistribution as AbstractDistribution
 from maesn.numerics.first_order import first_order_step as first_order_step

@@ -10,18 +10,6 @@ from jaxtyping import Array, Bool, Float
 from maesn.numerics.products import multiply
 
 
-class CGSolution(eqx.Module):
-    """Approximate solution of A x = b.
-
-    Attributes:
-        solution: x.
-        residual_norm: ‖b - A x‖₂, as updated by the recursion of the method.
-    """
-
-    solution: Float[Array, "parameter"]
-    residual_norm: Float[Array, ""]
-
-
 class _Iterate(eqx.Module):
     """State of the iteration: x_k, r_k = b - A x_k, p_k and r_k·r_k."""
 
@@ -36,7 +24,7 @@ def conjugate_gradient(
     target: Float[Array, "parameter"],
     num_steps: int,
     residual_tolerance: float = 1e-10,
-) -> CGSolution:
+) -> tuple[Float[Array, "parameter"], Float[Array, ""]]:
     """Solve A x = b for a symmetric positive (semi)definite A known by its products.
 
     From x_0 = 0, r_0 = p_0 = b, for k in [0, num_steps-1],
@@ -61,23 +49,15 @@ def conjugate_gradient(
             the one of the reference implementation's trust region step.
 
     Returns:
-        The last iterate and the norm of its residual.
-
-    Raises:
-        ValueError: if `num_steps` is negative.
+        x, and the norm ‖b - A x‖₂ of its residual, as updated by the recursion.
     """
-    if num_steps < 0:
-        raise ValueError(
-            f"`num_steps` must be a number of steps, 0 or more, but is {num_steps}; "
-            "choose about 10 for a trust region."
-        )
 
     def step(iterate: _Iterate, _: None) -> tuple[_Iterate, None]:
         return _next_iterate(iterate, product(iterate.direction), residual_tolerance), None
 
     start = _Iterate(jnp.zeros_like(target), target, target, multiply(target, target))
     last, _ = jax.lax.scan(step, start, None, length=num_steps)
-    return CGSolution(last.solution, jnp.sqrt(last.squared_norm))
+    return last.solution, jnp.sqrt(last.squared_norm)
 
 
 def _next_iterate(

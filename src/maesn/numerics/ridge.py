@@ -49,15 +49,7 @@ def ridge_regression(
 
     Returns:
         w; 0 for columns that are zero.
-
-    Raises:
-        ValueError: if `ridge` is not positive.
     """
-    if not ridge > 0.0:
-        raise ValueError(
-            f"`ridge` must be positive, but is {ridge}; choose a small number such as 1e-5, "
-            "because columns may be zero or depend on each other."
-        )
     is_used = weight > 0.0
     root = jnp.sqrt(jnp.where(is_used, weight, 0.0))
     rows = jnp.where(is_used[:, None], features, 0.0) * root[:, None]
@@ -84,10 +76,10 @@ def _solve_normal_equations(
 
     first = unwhiten(whiten(multiply(target, rows)))
     residual = multiply(target - multiply(rows, first), rows) - ridge * first
-    refinement = conjugate_gradient(
+    refinement, _ = conjugate_gradient(
         product, whiten(residual), num_steps=_REFINEMENT_STEPS, residual_tolerance=0.0
     )
-    return first + unwhiten(refinement.solution)
+    return first + unwhiten(refinement)
 
 
 def _factorize(scaled: Float[Array, "feature feature"]) -> Float[Array, "feature feature"]:

@@ -1,5 +1,7 @@
 """A ring buffer: the last rows of a stream, in arrays of fixed size."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,27 +19,29 @@ class Ring(eqx.Module):
     is bounded from the start.
     """
 
-    rows: Float[Array, "*batch capacity feature"]
-    """Row n of the stream is stored at n modulo the capacity; zeros where there is none yet."""
+    rows: Any
+    """A pytree of arrays `[*batch, capacity, ...]`. Row n of the stream is stored at n modulo the
+    capacity; zeros where there is none yet."""
     count: Int[Array, "*batch"]
     """Number of rows that were ever added."""
 
     @staticmethod
-    def empty(capacity: int, features: int) -> "Ring":
-        """Return a ring without rows."""
-        return Ring(jnp.zeros((capacity, features)), jnp.zeros((), int))
+    def empty(capacity: int, row: Any) -> "Ring":
+        """Return a ring without rows; their shapes and types are those of `row`."""
+        rows = jax.tree.map(lambda x: jnp.zeros((capacity, *x.shape), x.dtype), row)
+        return Ring(rows, jnp.zeros((), int))
 
     @property
     def capacity(self) -> int:
         """Number of rows that fit."""
-        return self.rows.shape[-2]
+        return int(jax.tree.leaves(self.rows)[0].shape[self.count.ndim])
 
     @property
     def size(self) -> Int[Array, "*batch"]:
         """Number of rows in the ring."""
         return jnp.minimum(self.count, self.capacity)
 
-    def extend(self, rows: Float[Array, "row feature"], valid: Bool[Array, " row"]) -> "Ring":
+    def extend(self, rows: Any, valid: Bool[Array, " row"]) -> "Ring":
         """Append the valid rows, in their order.
 
         Args:
@@ -50,17 +54,18 @@ class Ring(eqx.Module):
         # undefined.
         kept = valid & (number >= total - self.capacity)
         place = jnp.where(kept, (self.count + number) % self.capacity, self.capacity)
-        return Ring(self.rows.at[place].set(rows, mode="drop"), self.count + total)
+        written = jax.tree.map(lambda x, y: x.at[place].set(y, mode="drop"), self.rows, rows)
+        return Ring(written, self.count + total)
 
-    def sample(self, key: PRNGKeyArray, number: int) -> Float[Array, "number feature"]:
+    def sample(self, key: PRNGKeyArray, number: int) -> Any:
         """Draw rows uniformly, with replacement; zeros from an empty ring."""
         index = jax.random.randint(key, (number,), 0, jnp.maximum(self.size, 1))
-        return self.rows[index]
+        return jax.tree.map(lambda x: x[index], self.rows)
 
     def moments(self) -> tuple[Float[Array, " feature"], Float[Array, " feature"]]:
         """Return mean and standard deviation of each feature; 0 and 1 for an empty ring.
 
-        A feature that is constant has the standard deviation 1.
+        A row is an array of features. A feature that is constant has the standard deviation 1.
         """
         held = (jnp.arange(self.capacity) < self.size)[:, None]
         number = jnp.maximum(self.size, 1).astype(self.rows.dtype)

@@ -96,8 +96,7 @@ class TrustRegion(eqx.Module):
         loss_before, gradient_tree = loss_and_gradient(parameters)
         gradient, _ = ravel_pytree(gradient_tree)
         product = self._curvature_product(lambda x: distribution(unravel(x)), flat, weight)
-        solution = conjugate_gradient(product, -gradient, self.cg_steps)
-        direction = solution.solution
+        direction, residual_norm = conjugate_gradient(product, -gradient, self.cg_steps)
         curvature = multiply(direction, product(direction))
         longest = jnp.sqrt(2 * self.max_kl / (curvature + CURVATURE_EPSILON)) * direction
         search = self._line_search(lambda x: evaluate(unravel(x)), flat, longest, loss_before)
@@ -109,7 +108,7 @@ class TrustRegion(eqx.Module):
             loss_after=jnp.where(search.accepted, search.last.loss, loss_before),
             kl=jnp.where(search.accepted, search.last.kl, 0.0),
             gradient_norm=jnp.linalg.norm(gradient),
-            residual_norm=solution.residual_norm,
+            residual_norm=residual_norm,
         )
         moved = flat + self._length(backtracks) * longest
         return unravel(jnp.where(search.accepted, moved, flat)), info

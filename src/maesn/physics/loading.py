@@ -41,10 +41,14 @@ def load_model(model: str | os.PathLike[str]) -> mujoco.MjModel:
         ValueError: MuJoCo cannot compile the XML; the message is one sentence.
         RunError: it is a model of Gymnasium, which is not installed.
     """
-    _redirect_warnings()
+    if mujoco.get_mju_user_warning() is None:  # else another handler is installed
+        mujoco.set_mju_user_warning(_messages.append)
     _messages.clear()
     try:
-        compiled = _compile(os.fspath(model))
+        found = find_model(model)
+        is_file = isinstance(found, Path)
+        read = mujoco.MjModel.from_xml_path if is_file else mujoco.MjModel.from_xml_string
+        compiled = read(os.fspath(model) if is_file else found)
     except ValueError as error:
         said = " ".join(str(error).split())
         raise ValueError(
@@ -97,16 +101,3 @@ def _elements_of(name: str) -> str:
 
 def _is_xml(name: str) -> bool:
     return name.lstrip().startswith("<")
-
-
-def _compile(name: str) -> mujoco.MjModel:
-    found = find_model(name)
-    if isinstance(found, Path):
-        return mujoco.MjModel.from_xml_path(name)
-    return mujoco.MjModel.from_xml_string(found)
-
-
-def _redirect_warnings() -> None:
-    """Collect MuJoCo's warnings, unless another handler is installed."""
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_messages.append)

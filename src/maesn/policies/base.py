@@ -11,11 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
 from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
 
-_USUAL_DISTRIBUTIONS: dict[ActionKind, type[AbstractDistribution]] = {
-    "continuous": DiagonalGaussian,
-    "discrete": Categorical,
-}
-
 
 class PolicyInput(NamedTuple):
     """Inputs of a policy, at one step or at many.
@@ -50,15 +45,15 @@ class AbstractPolicy(eqx.Module):
 
         The collector refuses a policy of another kind than that of its environment.
         """
-        return "continuous"
+        return "discrete" if issubclass(self.distribution, Categorical) else "continuous"
 
     @property
     def distribution(self) -> type[AbstractDistribution]:
-        """The type of distribution that the policy returns.
+        """The type of distribution that the policy returns: Gaussians, by default.
 
         It is known before the policy is called, because the noise of all actions is drawn first.
         """
-        return _USUAL_DISTRIBUTIONS[self.action_kind]
+        return DiagonalGaussian
 
     @property
     def observed_reward(self) -> ObservedReward:

@@ -50,8 +50,8 @@ class CategoricalMLPPolicy(AbstractPolicy):
         return Categorical(logits), recurrent_state
 
     @property
-    def action_kind(self) -> ActionKind:
-        return "discrete"
+    def distribution(self) -> type[Categorical]:
+        return Categorical
 
 
 class GaussianMLP(AbstractPolicySettings):

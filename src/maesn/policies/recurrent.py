@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import ActionKind, Key, ObservedReward, RecurrentState
 from maesn.networks import RecurrentNetwork, init_recurrent_network
-from maesn.numerics import AbstractDistribution, Categorical
+from maesn.numerics import AbstractDistribution, Categorical, DiagonalGaussian
 from maesn.policies.base import AbstractPolicy, AbstractPolicySettings, PolicyInput
 from maesn.policies.feed_forward import gaussian, initial_log_std
 from maesn.settings import check_choice, check_number, check_positive, check_sizes
@@ -33,11 +33,6 @@ class Head(eqx.Module):
         if self.log_std is None:
             return Categorical(outputs)
         return gaussian(outputs, self.log_std)
-
-    @property
-    def action_kind(self) -> ActionKind:
-        """The kind of actions."""
-        return "discrete" if self.log_std is None else "continuous"
 
 
 class RecurrentPolicy(AbstractPolicy):
@@ -63,8 +58,8 @@ class RecurrentPolicy(AbstractPolicy):
         return self.network.initial_recurrent_state()
 
     @property
-    def action_kind(self) -> ActionKind:
-        return self.head.action_kind
+    def distribution(self) -> type[AbstractDistribution]:
+        return DiagonalGaussian if self.head.log_std is not None else Categorical
 
     def seen(self, inputs: PolicyInput) -> PolicyInput:
         if not self.symlog:

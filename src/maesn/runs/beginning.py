@@ -6,25 +6,11 @@ import equinox as eqx
 import jax
 
 from maesn.axes import Key
-from maesn.envs import AnyEnv, TaskSet
 from maesn.learners import AbstractMetaLearner, Problem
 from maesn.runs.checkpoint import named_leaves, names_of, restore
 from maesn.storage import RunError
 
 LARGEST_REPLAY = 200  # megabytes, in memory and on disk
-
-
-def problem_of(env: AnyEnv, tasks: TaskSet, episodes_per_task: int, more_tasks: int) -> Problem:
-    """Return what a learner must know of training, for that many tasks more than there are."""
-    return Problem(
-        env.observation_size,
-        env.action_size,
-        num_tasks=len(tasks) + more_tasks,
-        description_size=jax.eval_shape(env.describe, tasks[0]).size,
-        action_kind=env.action_kind,
-        horizon=env.horizon,
-        episodes_per_task=episodes_per_task,
-    )
 
 
 @eqx.filter_jit  # one program instead of many small ones takes half the time to compile

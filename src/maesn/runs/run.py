@@ -17,9 +17,9 @@ from maesn import storage
 from maesn.axes import Key
 from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebuild_env
 from maesn.envs.sources import find_tasks, imported, resolve_family, save_tasks, warn_of_known_tests
-from maesn.learners import AbstractMetaLearner, method_name
+from maesn.learners import AbstractMetaLearner, Problem, method_name
 from maesn.runs import checkpoint, sources
-from maesn.runs.beginning import check_replay, drawn_state, problem_of, with_weights_of
+from maesn.runs.beginning import check_replay, drawn_state, with_weights_of
 from maesn.runs.checkpoint import ITERATION, Checkpoint, CheckpointError, named_leaves
 from maesn.runs.config import (
     CONFIG,
@@ -275,6 +275,14 @@ class Run:
 
     def _drawn_from(self, more_tasks: int = 0) -> tuple[Any, ...]:
         """Return what the state before training is drawn from."""
-        each = self.settings.episodes_per_task
-        problem = problem_of(self.env(), self.training_tasks, each, more_tasks)
+        env, tasks = self.env(), self.training_tasks
+        problem = Problem(
+            env.observation_size,
+            env.action_size,
+            num_tasks=len(tasks) + more_tasks,
+            description_size=jax.eval_shape(env.describe, tasks[0]).size,
+            action_kind=env.action_kind,
+            horizon=env.horizon,
+            episodes_per_task=self.settings.episodes_per_task,
+        )
         return self.learner, self.iteration_key(_UNTRAINED), problem

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maesn.runtime.acting import Actor, Limiter
+from maesn.runtime.acting import Actor
 from maesn.runtime.arrays import FloatArray, finite_vector
 from maesn.runtime.episode import Episode
 from maesn.runtime.exported import ExportedPolicy
 from maesn.runtime.learning import AdaptationInfo, learned, surprise
+from maesn.runtime.policy import ConditionedPolicy
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import Beliefs
 from maesn.runtime.state import ExplorerState
@@ -47,11 +48,11 @@ class Explorer:
     ) -> None:
         self.exported = exported
         self.safeguards = Safeguards() if safeguards is None else safeguards
-        self._limiter = Limiter(exported.actuators, self.safeguards)
         self._generator = np.random.default_rng(seed)
+        self._actor = Actor(exported, self.safeguards, self._generator)
         state = ExplorerState.new_task(exported) if state is None else state
         self._state = state.within(self.safeguards.max_latent_norm)
-        self._actor = self._given_z()
+        self._policy = self._given_z()
 
     @staticmethod
     def load(
@@ -153,7 +154,7 @@ class Explorer:
         size = self.exported.latent_size
         chosen = None if z is None else finite_vector("z", z, size, "as the policy's latent")
         self._state = self._state.begun(explore, chosen, self._generator)
-        self._actor = self._given_z()
+        self._policy = self._given_z()
         return self._state.running_for("begin_episode").latent.copy()
 
     def propose(self, count: int) -> FloatArray:
@@ -217,9 +218,7 @@ class Explorer:
         """
         running, size = self._state.running_for("act"), self.exported.observation_size
         seen = finite_vector("observation", observation, size, "as in training")
-        done = self._actor.decided(running, seen, explore, normalized)
-        running.add(done.observed, done.action, done.control)
-        return done.answer
+        return self._actor.act(self._policy, running, seen, explore, normalized)
 
     def control(self, action: ArrayLike) -> FloatArray:
         """Return what the actuators would get for an action of the policy, `[action]`.
@@ -228,7 +227,7 @@ class Explorer:
         """
         size = self.exported.action_size
         checked = finite_vector("action", action, size, "as in training")
-        return self._limiter.actuators.control(checked)
+        return self._actor.actuators.control(checked)
 
     def end_episode(self, rewards: ArrayLike) -> Episode:
         """Finish the running episode, keep it for `adapt` if it explored, and return it.
@@ -279,8 +278,7 @@ class Explorer:
         self._state, info = learned(self._state, self.exported.rule, self.safeguards, horizon)
         return info
 
-    def _given_z(self) -> Actor:
+    def _given_z(self) -> ConditionedPolicy:
         running = self._state.running
         latent = self._state.latent.mean if running is None else running.latent
-        policy = self.exported.policy.given(latent)
-        return Actor(self.exported, policy, self._limiter, self._generator)
+        return self.exported.policy.given(latent)

@@ -60,7 +60,7 @@ def _after_search(
     readings = state.readings(horizon)
     _refuse_fewer(1, len(readings))
     search = search.after(readings)
-    latent = replace(state.latent, mean=search.latent(search.best))
+    latent = replace(state.latent, mean=search.points[search.best])
     mean_return = float(np.mean([one.episode_return for one in readings]))
     info = AdaptationInfo(mean_return, len(readings), shortened=False)
     return ExplorerState(latent, state.update + 1, search=search), info

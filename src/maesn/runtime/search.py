@@ -98,10 +98,6 @@ class LatentSearch:
         low, high = posterior.quantiles(point, levels)
         return low, high
 
-    def latent(self, point: int) -> FloatArray:
-        """Return z of a point, `[z]`."""
-        return self.points[point]
-
     def proposed(
         self, generator: np.random.Generator, taken: Collection[int] = ()
     ) -> "tuple[LatentSearch, int]":
@@ -126,7 +122,7 @@ class LatentSearch:
         refined = wider.highest(wider.open_scores(component, taken))
         if refined < len(self.points):
             return self, chosen
-        return self.with_latent(wider.latent(refined)), len(self.points)
+        return self.with_points(wider.points[refined, None]), len(self.points)
 
     def proposed_together(
         self, generator: np.random.Generator, count: int
@@ -143,18 +139,19 @@ class LatentSearch:
         for _ in range(count):
             believed, point = believed.proposed(generator, taken=chosen)
             if point == len(search.points):
-                search = search.with_latent(believed.latent(point))
+                search = search.with_points(believed.points[point, None])
             chosen.append(point)
             believed = believed.after([believed.posterior.expected(point)])
         return search, tuple(chosen)
 
-    def with_latent(self, z: FloatArray) -> "LatentSearch":
-        """Return the search with one more point."""
-        return self._with_points(z[None])
-
-    def has(self, z: FloatArray) -> bool:
-        """Whether z is a point of this search."""
-        return bool((self.points == z).all(axis=1).any())
+    def with_points(self, more: FloatArray) -> "LatentSearch":
+        """Return the search with more points, `[point, z]`."""
+        added_after = [len(self.posterior.readings)] * len(more)
+        return replace(
+            self,
+            posterior=self.posterior.extended(more),
+            added_after=(*self.added_after, *added_after),
+        )
 
     def index(self, z: FloatArray) -> int:
         """Return the index of a point; raises `ValueError` if z is no point of this search."""
@@ -225,7 +222,7 @@ class LatentSearch:
         search, number = self, len(history.readings)
         for count in range(number + 1):
             for z in history.added[np.equal(history.added_after, count)]:
-                search = search.with_latent(z)
+                search = search.with_points(z[None])
             readings = history.readings[count : count + 1]
             if not all(0 <= one.point < len(search.points) for one in readings):
                 raise ValueError(f"`readings` name points that are not there: {readings}.")
@@ -241,15 +238,7 @@ class LatentSearch:
     def _with_draws(self, generator: np.random.Generator) -> "LatentSearch":
         shape = (self.settings.draws, self.points.shape[1])
         around = self.settings.draw_std * generator.standard_normal(shape)
-        return self._with_points(self.latent(self.best) + around)
+        return self.with_points(self.points[self.best] + around)
 
     def _plays(self, point: int) -> int:
         return sum(reading.point == point for reading in self.posterior.readings)
-
-    def _with_points(self, more: FloatArray) -> "LatentSearch":
-        added_after = [len(self.posterior.readings)] * len(more)
-        return replace(
-            self,
-            posterior=self.posterior.extended(more),
-            added_after=(*self.added_after, *added_after),
-        )

@@ -66,14 +66,14 @@ class ExplorerState:
         """
         search = self.search
         if not explore:
-            z = self.latent.mean if search is None else search.latent(search.best)
+            z = self.latent.mean if search is None else search.points[search.best]
         elif z is None and search is not None:
             search, point = search.proposed(generator)
-            z = search.latent(point)
+            z = search.points[point]
         elif z is None:
             z = self.latent.draw(generator.standard_normal(self.latent.mean.size))
-        elif search is not None and not search.has(z):
-            search = search.with_latent(z)
+        elif search is not None and not (search.points == z).all(axis=1).any():
+            search = search.with_points(z[None])
         running = RunningEpisode(z.copy(), "explore" if explore else "deploy")
         return replace(self, running=running, search=search)
 

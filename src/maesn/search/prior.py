@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ import numpy as np
 
 from maesn.axes import Key
 from maesn.envs import AnyEnv, TaskSet
-from maesn.experience.agent import Agents
 from maesn.learners import AbstractSettableLatent
 from maesn.runtime.return_model import ReturnPrior
 from maesn.search.judging import returns_under, situations
@@ -169,24 +167,16 @@ def _play_groups(
             # Chunks of one size share compiled programs: the last latent fills the last of them.
             chunk = latents[np.minimum(np.arange(first, first + size), len(latents) - 1)]
             rows = np.arange(first, min(first + size, len(latents)))
-            chunk_key = jax.random.fold_in(key, played)
+            keys = jax.random.split(jax.random.fold_in(key, played), size)
             agents = replace(latent.holding(chunk), is_noisy=settings.action_noise)
-            found = _play_group(agents, collector, group, chunk_key)
-            for whole, part in zip((returns, length), found, strict=True):
+            # In the first task of the group; all of its tasks judge what is played.
+            batch, readings = collector.play(keys, agents, jnp.full(size, group[0]))
+            action, valid = (x.reshape(-1, *x.shape[2:]) for x in (batch.action, batch.valid))
+            judged = returns_under(world.env, readings, action, valid, world.tasks[group])
+            shares = np.asarray(valid.mean(-1)).reshape(1, size, -1)
+            parts = np.asarray(judged).reshape(len(group), size, -1), shares
+            for whole, part in zip((returns, length), parts, strict=True):
                 whole[np.ix_(group, rows)] = part[:, : len(rows)]
             played += len(rows)
             progress(played, len(groups) * len(latents))
     return returns, length
-
-
-def _play_group(
-    agents: Agents, collector: Collector, group: Any, key: Key
-) -> tuple[np.ndarray, np.ndarray]:
-    """Play agents in the first task of a group, and compute their returns in all of its tasks."""
-    world, count = collector.world, len(jax.tree.leaves(agents.context)[0])
-    slots = jnp.full(count, group[0])
-    episodes, readings = collector.play(jax.random.split(key, count), agents, slots)
-    action, valid = (x.reshape(-1, *x.shape[2:]) for x in (episodes.action, episodes.valid))
-    returns = returns_under(world.env, readings, action, valid, world.tasks[group])
-    length = np.asarray(valid.mean(-1)).reshape(1, count, -1)
-    return np.asarray(returns).reshape(len(group), count, -1), length

@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.progress import Progress as ProgressBar
 
 from maesn.envs import AnyEnv, RewardKind, TaskSet, describe_env
-from maesn.learners import AbstractSettableLatent
 from maesn.runs.checkpoint import digest_of_arrays, read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
 from maesn.runs.sources import working_copy
@@ -22,15 +21,8 @@ from maesn.runtime.record import decoded, encoded
 from maesn.runtime.return_model import NOMINAL, ReturnPrior
 from maesn.search.calibration import calibrated
 from maesn.search.learner import latent_of
-from maesn.search.prior import (
-    USUAL,
-    PriorSettings,
-    Progress,
-    adapted_latents,
-    make_prior,
-)
+from maesn.search.prior import USUAL, PriorSettings, Progress, adapted_latents, make_prior
 from maesn.storage import RunError, refusals
-from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector
 
 logger = logging.getLogger(__name__)
@@ -40,18 +32,18 @@ _SEARCHES = np.uint32(2**32 - 3)  # folded into the key of the searches that cal
 _EPISODES_TO_ADAPT = 20  # of each training task, for the one dense update; as in training
 
 
-def prior_file(run: Run, world: AbstractWorld, action_noise: bool = False) -> Path:
-    """Return where a run's prior for a world's reward is, or will be if there is none.
+def prior_file(run: Run, env: AnyEnv, action_noise: bool = False) -> Path:
+    """Return where a run's prior for an environment's reward is, or will be if there is none.
 
     A policy that comes with the library is never written to: a missing prior goes into its copy.
     """
-    path = run.directory / PRIORS / _file_name(world, action_noise)
+    path = run.directory / PRIORS / _file_name(env, action_noise)
     return path if path.exists() else working_copy(run.directory) / PRIORS / path.name
 
 
-def _file_name(world: AbstractWorld, action_noise: bool) -> str:
+def _file_name(env: AnyEnv, action_noise: bool) -> str:
     noisy = "-noisy" if action_noise else ""
-    return f"{world.env.reward_kind}-{world.env.sparse_radius:g}{noisy}.safetensors"
+    return f"{env.reward_kind}-{env.sparse_radius:g}{noisy}.safetensors"
 
 
 def run_prior(
@@ -95,50 +87,34 @@ def run_prior(
     archive = np.concatenate(latents).astype(np.float32)
     with closing(run.world(reward_kind=reward, sparse_radius=sparse_radius)) as world:
         prior = make_prior(latent, world, archive, settings, progress)
-        path = (
-            (directory or working_copy(run.directory))
-            / PRIORS
-            / _file_name(world, settings.action_noise)
-        )
-        if settings.searches and not settings.action_noise:
-            prior = _calibrated(prior, run, latent, world.env, settings)
-        held, numbers = encoded(prior)
-        arrays = {name: array.astype(np.float32) for name, array in held.items()}
-        bound = bound_to(run, state, world, settings.action_noise)
-        metadata = bound | {"numbers": json.dumps(numbers)}
-    save_checkpoint(path, arrays, metadata)
+    if settings.searches and not settings.action_noise:
+        unknown = TaskSet(run.task_set("validation")[: settings.searches])
+        with closing(run.world(unknown, reward, sparse_radius=sparse_radius)) as unseen:
+            key = jax.random.fold_in(jax.random.key(settings.seed), _SEARCHES)
+            prior = calibrated(prior, latent, unseen, key)
+    held, numbers = encoded(prior)
+    arrays = {name: array.astype(np.float32) for name, array in held.items()}
+    bound = bound_to(run, state, world.env, settings.action_noise)
+    home = directory or working_copy(run.directory)
+    path = home / PRIORS / _file_name(world.env, settings.action_noise)
+    save_checkpoint(path, arrays, bound | {"numbers": json.dumps(numbers)})
     return path, read_prior(path)[0]
-
-
-def _calibrated(
-    prior: ReturnPrior,
-    run: Run,
-    latent: AbstractSettableLatent,
-    env: AnyEnv,
-    settings: PriorSettings,
-) -> ReturnPrior:
-    tasks = run.task_set("validation")
-    some = TaskSet(tasks[: settings.searches])
-    radius = env.sparse_radius or None
-    with closing(run.world(some, env.reward_kind, sparse_radius=radius)) as world:
-        key = jax.random.fold_in(jax.random.key(settings.seed), _SEARCHES)
-        return calibrated(prior, latent, world, key)
 
 
 def find_prior(
     run: Run,
     state: Any,
-    world: AbstractWorld,
+    env: AnyEnv,
     action_noise: bool,
     name: str = "",
     any_reward: bool = False,
 ) -> ReturnPrior:
-    """Return the prior of a run, in that state, for a world. Make it if it is missing.
+    """Return the prior of a run, in that state, for an environment. Make it if it is missing.
 
     Args:
         run: the run that the prior belongs to.
         state: the run's latest state.
-        world: of the new tasks; only its reward matters.
+        env: of the new tasks; only its reward matters.
         action_noise: whether the archive was played with the noise of training.
         name: path of a prior; empty for the run's own.
         any_reward: whether a prior that was made for another reward will do.
@@ -146,9 +122,9 @@ def find_prior(
     Raises:
         RunError: it belongs to other weights, training tasks, reward or noise, or is damaged.
     """
-    path = Path(name) if name else prior_file(run, world, action_noise)
+    path = Path(name) if name else prior_file(run, env, action_noise)
     if not name and not path.exists():
-        env, settings = world.env, PriorSettings(action_noise=action_noise)
+        settings = PriorSettings(action_noise=action_noise)
         logger.warning(
             "`%s` is missing. It is made now, once. For a rougher one, in a fraction of the time, "
             "stop this, and type: %s --draws 100 --episodes 1 --adapted False --searches 0",
@@ -162,12 +138,12 @@ def find_prior(
             )
         return prior
     prior, metadata = read_prior(path)
-    for what, wanted in bound_to(run, state, world, action_noise).items():
+    for what, wanted in bound_to(run, state, env, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             allow = ", or allow it by `any_reward=true`" if what == "reward" else ""
             raise RunError(
                 f"`{path}` was made for another {what} than `{run.directory}` has here: make it "
-                f"again by `{_command(run, world.env, action_noise)}`{allow}."
+                f"again by `{_command(run, env, action_noise)}`{allow}."
             )
     return prior
 
@@ -192,12 +168,12 @@ def played_live() -> Iterator[Progress]:
         yield lambda played, of: bar.update(shown, completed=played, total=of)
 
 
-def bound_to(run: Run, state: Any, world: AbstractWorld, action_noise: bool) -> dict[str, str]:
+def bound_to(run: Run, state: Any, env: AnyEnv, action_noise: bool) -> dict[str, str]:
     """Return what a prior belongs to: digests of weights, training tasks and reward, and noise."""
     return {
         "checkpoint": digest_of_arrays(run.learner.weights(state)),
         "training task set": run.config.task_digest,
-        "reward": json.dumps(describe_env(world.env), sort_keys=True),
+        "reward": json.dumps(describe_env(env), sort_keys=True),
         "action noise": str(action_noise),
     }
 

@@ -100,9 +100,9 @@ def times(run: Path) -> dict[str, float]:
 def make_prior(member: TrainedRun, asked: Evaluation, directory: Path) -> dict[str, Any]:
     """Make the prior over returns that a search needs, beside the run's checkpoints."""
     run = member.open(directory.parent)
-    with closing(run.world(None, asked.reward, sparse_radius=asked.sparse_radius)) as world:
-        path = prior_file(run, world, asked.action_noise)
-        wanted = bound_to(run, run.latest_state(), world, asked.action_noise).items()
+    env = run.env(asked.reward, asked.sparse_radius)
+    path = prior_file(run, env, asked.action_noise)
+    wanted = bound_to(run, run.latest_state(), env, asked.action_noise).items()
     if not (path.exists() and wanted <= read_prior(path)[1].items()):
         settings = PriorSettings(action_noise=asked.action_noise)
         run_prior(run, settings, reward=asked.reward, sparse_radius=asked.sparse_radius)

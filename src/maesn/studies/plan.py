@@ -13,7 +13,6 @@ from maesn.envs import AnyEnv, TaskSet, describe_env, split_variant
 from maesn.envs.sources import find_tasks
 from maesn.evaluation.evaluation import TASKS_AT_ONCE, Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
-from maesn.runs.run import Run
 from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import PriorSettings
 from maesn.settings import in_files
@@ -85,8 +84,10 @@ class _Planner:
                 for job in one.needs:
                     learner, settings = one.run.learner, one.run.settings
                     work = partial(train_run, learner, settings, one.init_from)
-                    steps, iterations = _steps_of_training(one.run), settings.iterations
-                    effort = one.run.learner.effort(steps, iterations)
+                    each, iterations = settings.episodes_per_task, settings.iterations
+                    episodes = learner.planned_episodes(each, iterations)
+                    steps = episodes * one.run.env().horizon  # as if all episodes ended in time
+                    effort = learner.effort(steps, iterations)
                     self.add(job, (), steps, work, iterations, effort)
         return self.runs[name]
 
@@ -220,10 +221,3 @@ class _Planner:
 
 def _digest(member: AbstractMember, env: AnyEnv, **more: Any) -> str:
     return digest_of_document({"of": member.identity, "world": describe_env(env), **more})
-
-
-def _steps_of_training(run: Run) -> int:
-    """Return the steps of a training, as if all episodes ended in time."""
-    settings = run.settings
-    episodes = run.learner.planned_episodes(settings.episodes_per_task, settings.iterations)
-    return episodes * run.env().horizon

@@ -17,8 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from maesn.axes import HostReadings, Readings, RecurrentState
 from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
-from maesn.experience.agent import Agents
-from maesn.experience.trial_state import TrialState
+from maesn.experience.agent import Agents, TrialState
 from maesn.numerics import AbstractDistribution
 
 

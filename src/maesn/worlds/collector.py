@@ -13,9 +13,8 @@ from jaxtyping import Array, Bool, Int
 
 from maesn.axes import HostReadings, Key, Readings, RecurrentState, TaskKeys
 from maesn.envs.base import AnyEnv
-from maesn.experience.agent import Agent, Agents
+from maesn.experience.agent import Agent, Agents, TrialState
 from maesn.experience.episodes import Episodes
-from maesn.experience.trial_state import TrialState
 from maesn.policies import PolicyInput
 from maesn.worlds import (
     AbstractWorld,
@@ -251,11 +250,13 @@ def _end_of_trial_so_far(
     agent: Agent, start: TrialState, recurrent_state: RecurrentState, observation: Array,
     action: Array, observed_reward: Array, valid: Array,
 ) -> TrialState:  # fmt: skip
-    """Return the state of a trial after one episode, which began with `start`."""
-    end = start.after(recurrent_state, action, observed_reward, valid)
-    last = PolicyInput(observation[valid.sum()], end.action, end.reward, jnp.zeros((), bool))
-    after = agent.policy.after_episode(agent.perceive(last), recurrent_state)
-    return replace(end, recurrent_state=after)
+    """Return the state of a trial after one episode, whose invalid steps do not change it."""
+    last = jnp.maximum(valid.sum() - 1, 0)
+    action = jnp.where(valid.any(), action[last], start.action)
+    reward = jnp.where(valid.any(), observed_reward[last], start.reward)
+    seen = PolicyInput(observation[valid.sum()], action, reward, jnp.zeros((), bool))
+    after = agent.policy.after_episode(agent.perceive(seen), recurrent_state)
+    return TrialState(after, action, reward)
 
 
 class _Finite(NamedTuple):

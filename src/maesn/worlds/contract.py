@@ -12,16 +12,19 @@ from maesn.envs.base import AbstractMujocoEnv, AbstractPureEnv, AbstractSimulate
 from maesn.envs.hosted import AbstractGymnasiumEnv
 from maesn.physics import field_values, load_model, resting_readings
 from maesn.policies import USUAL, AbstractPolicy
-from maesn.storage import RunError, refusals
+from maesn.storage import RunError
 from maesn.worlds.base import EnvContractError
 from maesn.worlds.foreign import check_hosted
 
 
 def check_policy(policy: AbstractPolicy, env: AnyEnv) -> None:
     """Refuse by `RunError` a policy of other actions, or that reads a reward that is lacking."""
-    with refusals():
-        env.check_shown(policy.observed_reward)
-    wanted, kind = env.action_kind, policy.action_kind
+    wanted, kind, shown = env.action_kind, policy.action_kind, policy.observed_reward
+    if isinstance(env, AbstractGymnasiumEnv) and shown not in ("own", env.reward_kind):
+        raise RunError(
+            f"`{env.name}` gives the {env.reward_kind} reward alone, but the policy reads the "
+            f"{shown} one: set `reward` to {shown}, or the policy's `observed_reward` to own."
+        )
     if kind != wanted:
         raise RunError(
             f"`{env.name}` needs a policy of {wanted} actions, but this one chooses {kind} ones: "

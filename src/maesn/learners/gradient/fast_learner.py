@@ -15,7 +15,7 @@ from maesn.context import (
     AbstractContextSettings,
     Latent,
     LatentContext,
-    LatentPerEpisode,
+    held_at,
 )
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
@@ -38,7 +38,7 @@ class GradientFastState(eqx.Module):
     """Number of updates so far."""
 
 
-class GradientFastLearner(AbstractFastLearner[GradientFastState]):
+class GradientFastLearner(AbstractFastLearner[GradientFastState], AbstractSettableLatent):
     """Starts where meta-learning left off and follows the policy gradient.
 
     Section "Using the Latent Spaces for Exploration": latents start at the prior N(0, I) and move
@@ -77,9 +77,9 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
         )
 
     @property
-    def latent(self) -> "GradientLatent | None":
+    def latent(self) -> "GradientFastLearner | None":
         start = self.context.start_new(self.context_table, 1)
-        return GradientLatent(self) if isinstance(start, Latent) else None
+        return self if isinstance(start, Latent) else None
 
     def rescheduled(
         self, step_scale: float, full_steps: int | None, start_std: float
@@ -134,15 +134,9 @@ class GradientFastLearner(AbstractFastLearner[GradientFastState]):
         )
         return GradientFastState(moved, state.update + 1)
 
-
-class GradientLatent(AbstractSettableLatent):
-    """The latent of a `GradientFastLearner`."""
-
-    learner: GradientFastLearner
-
     @property
     def size(self) -> int:
-        return self.learner.context_table.size
+        return self.context_table.size
 
     @property
     def spread(self) -> float:
@@ -150,20 +144,18 @@ class GradientLatent(AbstractSettableLatent):
         return 3.0
 
     def holding(self, latents: Float[ArrayLike, "task *episode z"]) -> Agents:
-        learner, held = self.learner, jnp.asarray(latents, jnp.float32)
-        context = Latent.fixed(held) if held.ndim == 2 else LatentPerEpisode(held)
-        return Agents(learner.policy, context, shares_policy=True, statistics=learner.statistics)
+        held = held_at(latents)
+        return Agents(self.policy, held, shares_policy=True, statistics=self.statistics)
 
     def of_tasks(
         self, collect: Collect, keys: TaskKeys, task_index: Int[Array, " task"]
     ) -> Float[np.ndarray, "task z"]:
         """Return the means of the trained latents after one more update."""
-        learner = self.learner
-        state = learner.init(keys)
-        trained = learner.context.start(learner.context_table, task_index)
+        state = self.init(keys)
+        trained = self.context.start(self.context_table, task_index)
         state = eqx.tree_at(lambda state: state.agents.context, state, trained)
-        episodes = collect(keys, learner.agents(state), task_index)
-        adapted = learner.update(state, episodes).agents.context
+        episodes = collect(keys, self.agents(state), task_index)
+        adapted = self.update(state, episodes).agents.context
         assert isinstance(adapted, Latent)
         return np.asarray(adapted.mean, np.float64)
 

@@ -91,7 +91,7 @@ def _nonfinite_tasks(
     """
 
     def search() -> tuple[Int[Array, ""], Int[Array, ""]]:
-        broken = mesh.gather(~jnp.isfinite(objective.task_losses(parameters)))
+        broken = mesh.gather(~jnp.isfinite(objective.of_tasks(parameters).loss))
         index = mesh.gather(objective.index)
         return broken.sum(), jnp.where(broken.any(), index[broken.argmax()], -1)
 

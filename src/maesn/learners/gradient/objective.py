@@ -165,17 +165,14 @@ class MetaObjective(eqx.Module):
 
     def evaluate_at_once(self, parameters: MetaParameters) -> Candidate:
         """Return the same as `evaluate`, with all tasks at once instead of one after another."""
-        new = self.distributions(parameters, self.post)
-        divergence = map_tasks(
-            masked_mean, self.post.behaviour.kl(new), self.post.valid, how="vmap"
-        )
-        losses = self._surrogates(new) + self.penalties(parameters)
-        return Candidate(loss=jnp.mean(losses), kl=jnp.mean(divergence))
+        return jax.tree.map(jnp.mean, self.of_tasks(parameters))
 
-    def task_losses(self, parameters: MetaParameters) -> Float[Array, " task"]:
-        """Return every task's loss; `evaluate` returns their mean."""
+    def of_tasks(self, parameters: MetaParameters) -> Candidate:
+        """Return the loss and the KL of every task, `[task]`; `evaluate` returns their means."""
         new = self.distributions(parameters, self.post)
-        return self._surrogates(new) + self.penalties(parameters)
+        kl = map_tasks(masked_mean, self.post.behaviour.kl(new), self.post.valid, how="vmap")
+        losses = map_tasks(outer_loss, new, self.post, self.advantages, how="vmap")
+        return Candidate(losses + self.penalties(parameters), kl)
 
     def penalties(self, parameters: MetaParameters) -> Float[Array, " task"]:
         """Return the penalty of every task's pre-update context."""
@@ -195,10 +192,6 @@ class MetaObjective(eqx.Module):
         for episodes, advantages in self.pre:
             agents.append(self.adaptation(agents[-1], sizes, self.context, episodes, advantages))
         return tuple(agents)
-
-    def _surrogates(self, new: AbstractDistribution) -> Float[Array, " task"]:
-        surrogates: Array = map_tasks(outer_loss, new, self.post, self.advantages, how="vmap")
-        return surrogates
 
     def _alone(self, row: tuple[Any, ...]) -> "MetaObjective":
         """Return the objective of a single task, from its row of `rows`."""

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from maesn.axes import TaskKeys
-from maesn.context import Latent
+from maesn.context import Latent, held_at
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
 from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Purpose
@@ -28,7 +28,7 @@ class PearlFastState(eqx.Module):
     """Episodes of each task so far."""
 
 
-class PearlFastLearner(AbstractFastLearner[PearlFastState]):
+class PearlFastLearner(AbstractFastLearner[PearlFastState], AbstractSettableLatent):
     """Draws z from its belief, acts on it for an episode, and multiplies in what it has seen."""
 
     policy: SquashedPolicy
@@ -70,38 +70,28 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState]):
         return PearlFastState(state.factors.times(found), state.episodes + played)
 
     @property
-    def latent(self) -> "PearlLatent":
-        return PearlLatent(self)
-
-    def holding(self, latents: Float[Array, "task z"]) -> Agents:
-        """Return agents that act on given latents, without noise."""
-        return Agents(self.policy, Latent.fixed(latents), shares_policy=True, is_noisy=False)
-
-
-class PearlLatent(AbstractSettableLatent):
-    """The latent of a `PearlFastLearner`."""
-
-    learner: PearlFastLearner
+    def latent(self) -> "PearlFastLearner":
+        return self
 
     @property
     def size(self) -> int:
-        return self.learner.encoder.size
+        return self.encoder.size
 
     @property
     def spread(self) -> float:
         """The root mean square of the latents of training, at least that of the prior."""
-        return max(float(self.learner.latent_scale), 1.0)
+        return max(float(self.latent_scale), 1.0)
 
-    def holding(self, latents: Float[ArrayLike, "task z"]) -> Agents:
-        return self.learner.holding(jnp.asarray(latents, jnp.float32))
+    def holding(self, latents: Float[ArrayLike, "task *episode z"]) -> Agents:
+        """Return agents that act on given latents, without noise."""
+        return Agents(self.policy, held_at(latents), shares_policy=True, is_noisy=False)
 
     def of_tasks(
         self, collect: Collect, keys: TaskKeys, task_index: Int[Array, " task"]
     ) -> Float[np.ndarray, "task z"]:
         """Return the posterior means after one batch of episodes on latents from the prior."""
-        learner = self.learner
-        state = learner.init(keys)
+        state = self.init(keys)
         # Without noise, as a search plays.
-        agents = replace(learner.agents(state), is_noisy=False)
-        state = learner.update(state, collect(keys, agents, task_index))
+        agents = replace(self.agents(state), is_noisy=False)
+        state = self.update(state, collect(keys, agents, task_index))
         return np.asarray(state.factors.posterior().mean, np.float64)

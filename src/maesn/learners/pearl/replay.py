@@ -44,21 +44,20 @@ class Replay(eqx.Module):
     """The transitions of all training tasks. Its memory is bounded from the start."""
 
     rings: Ring
-    """One ring per task: `rows[task, capacity, feature]`, `count[task]`."""
+    """One ring per task: a `Batch` of `[task, capacity, ...]`, and `count[task]`."""
     context_start: Int[Array, " row"]
     """Transitions that were added to each task's ring before its latest visit."""
     context_end: Int[Array, " row"]
     """The same, up to the end of the context of that visit."""
-    observation_size: int = eqx.field(static=True)
-    action_size: int = eqx.field(static=True)
 
     @staticmethod
     def empty(num_tasks: int, capacity: int, observation_size: int, action_size: int) -> "Replay":
         """Return a replay without transitions, `capacity` of which fit per task."""
-        features = replay_features(observation_size, action_size)
-        zeros = jnp.zeros(num_tasks, int)
-        rings = Ring(jnp.zeros((num_tasks, capacity, features)), zeros)
-        return Replay(rings, zeros, zeros, observation_size, action_size)
+        observation, number = jnp.zeros(observation_size), jnp.zeros(())
+        row = Batch(observation, jnp.zeros(action_size), number, number, observation, number)
+        ring = Ring.empty(capacity, row)
+        rings = jax.tree.map(lambda x: jnp.zeros((num_tasks, *x.shape), x.dtype), ring)
+        return Replay(rings, rings.count, rings.count)
 
     @property
     def is_played(self) -> Bool[Array, " row"]:
@@ -80,7 +79,7 @@ class Replay(eqx.Module):
         """
         batch, valid = transitions_of(episodes)
         rings = jax.tree.map(lambda x: x[tasks], self.rings)
-        extended = jax.vmap(Ring.extend)(rings, self._rows(batch), valid)
+        extended = jax.vmap(Ring.extend)(rings, batch, valid)
         start = rings.count if begins else self.context_start[tasks]
         usual = rings.count if begins else self.context_end[tasks]
         end = extended.count if is_context else usual
@@ -88,8 +87,6 @@ class Replay(eqx.Module):
             jax.tree.map(lambda all_, some: all_.at[tasks].set(some), self.rings, extended),
             self.context_start.at[tasks].set(start),
             self.context_end.at[tasks].set(end),
-            self.observation_size,
-            self.action_size,
         )
 
     def sample(self, key: Key, tasks: Int[Array, " task"], number: int) -> Batch:
@@ -116,22 +113,7 @@ class Replay(eqx.Module):
         # Rounding could make a share of 1 of it.
         offset = jnp.minimum((share * length.astype(float)).astype(int), length - 1)
         place = (start[:, None] + offset) % self.rings.capacity
-        return self._batch(self.rings.rows[tasks[:, None], place])
-
-    def _rows(self, batch: Batch) -> Float[Array, "task transition feature"]:
-        columns = (x if x.ndim == batch.action.ndim else x[..., None] for x in batch)
-        return jnp.concatenate(list(columns), axis=-1)
-
-    def _batch(self, rows: Float[Array, "task transition feature"]) -> Batch:
-        o, a = self.observation_size, self.action_size
-        return Batch(
-            observation=rows[..., :o],
-            action=rows[..., o : o + a],
-            reward=rows[..., o + a],
-            context_reward=rows[..., o + a + 1],
-            next_observation=rows[..., o + a + 2 : -1],
-            terminal=rows[..., -1],
-        )
+        return jax.tree.map(lambda x: x[tasks[:, None], place], self.rings.rows)
 
 
 def replay_features(observation_size: int, action_size: int) -> int:

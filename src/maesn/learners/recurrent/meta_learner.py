@@ -26,7 +26,7 @@ from maesn.learners.trial_meta import (
     TrialInfo,
     describe_trials,
 )
-from maesn.learners.trial_value import ValueState, explained_variance
+from maesn.learners.trial_value import ValueState
 from maesn.learners.trials import Trials, join_episodes
 from maesn.numerics import at_once, standardize
 from maesn.policies import AbstractPolicy, AbstractPolicySettings, Recurrent
@@ -42,18 +42,7 @@ class RecurrentMetaState(eqx.Module):
     iteration: Int[Array, ""]
 
 
-class RecurrentInfo(TrialInfo):
-    """Info of one meta-iteration: scalars only."""
-
-    explained_variance: Float[Array, ""]
-    """Share of the variance of the returns that the value function explained before the fit."""
-    value_accepted: Bool[Array, ""]
-    """False if the fitted value function was not finite: it stays as it was."""
-    policy_step: Any
-    """Info of the policy's step."""
-
-
-class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, RecurrentInfo]):
+class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, TrialInfo]):
     """Plays trials and improves a recurrent policy on them."""
 
     policy: AbstractPolicySettings = Recurrent()
@@ -104,7 +93,7 @@ class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, Recurren
 
     def improved(
         self, key: Key, state: RecurrentMetaState, episodes: tuple[Episodes, ...]
-    ) -> tuple[RecurrentMetaState, RecurrentInfo]:
+    ) -> tuple[RecurrentMetaState, TrialInfo]:
         policy_key, value_key = jax.random.split(key)
         judged = self._judge(state, episodes)
         (policy, opt_state, step), (value, accepted) = at_once(
@@ -156,11 +145,6 @@ class _Judged(NamedTuple):
 @eqx.filter_jit
 def _describe(
     episodes: tuple[Episodes, ...], judged: _Judged, value_accepted: Bool[Array, ""], step: Any
-) -> RecurrentInfo:
-    trials, advantages, expected = judged
-    return RecurrentInfo(
-        **describe_trials(episodes, trials),
-        explained_variance=explained_variance(advantages, expected, trials.valid),
-        value_accepted=value_accepted,
-        policy_step=step,
-    )
+) -> TrialInfo:
+    told = describe_trials(episodes, *judged)
+    return TrialInfo(**told, value_accepted=value_accepted, policy_step=step)

@@ -19,8 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from maesn.axes import Key
 from maesn.learners.varibad.decoder import BeliefDecoderSettings, Decoder
 from maesn.learners.varibad.encoder import BeliefEncoder
-from maesn.learners.varibad.steps import Steps, TrialBuffer
-from maesn.numerics import DiagonalGaussian, first_order_step, if_finite, masked_mean
+from maesn.learners.varibad.steps import Steps
+from maesn.numerics import DiagonalGaussian, Ring, first_order_step, if_finite, masked_mean
 from maesn.settings import check_least, check_positive
 
 
@@ -124,7 +124,7 @@ class BeliefInference(eqx.Module):
         decoding: BeliefDecoderSettings,
         decoder: Decoder,
         opt_state: Any,
-        buffer: TrialBuffer,
+        buffer: Ring,
     ) -> tuple[BeliefEncoder, Decoder, Any, InferenceInfo, Bool[Array, ""]]:
         """Take the gradient steps of a meta-iteration.
 

@@ -27,18 +27,19 @@ from maesn.learners.trial_meta import (
     TrialInfo,
     describe_trials,
 )
-from maesn.learners.trial_value import ValueState, explained_variance
+from maesn.learners.trial_value import ValueState
 from maesn.learners.trials import Trials, join_episodes
 from maesn.learners.varibad.bonus import BonusState, HyperBonus
 from maesn.learners.varibad.decoder import BeliefDecoderSettings, Decoder
 from maesn.learners.varibad.encoder import BeliefEncoderSettings
 from maesn.learners.varibad.inference import BeliefInference, InferenceInfo
 from maesn.learners.varibad.policy import BeliefPolicy, side_by_side
-from maesn.learners.varibad.steps import Steps, TrialBuffer, step_features, steps_of
+from maesn.learners.varibad.steps import Steps, empty_buffer, step_features, steps_of
 from maesn.learners.varibad.value import BeliefValue
 from maesn.numerics import (
     DiagonalGaussian,
     MinibatchDescent,
+    Ring,
     masked_mean,
     standardize,
 )
@@ -70,7 +71,7 @@ class VaribadState(eqx.Module):
     """State of Adam of encoder and decoder."""
     value: ValueState
     bonus: BonusState | None
-    buffer: TrialBuffer
+    buffer: Ring
     iteration: Int[Array, ""]
 
 
@@ -79,12 +80,6 @@ class VaribadInfo(TrialInfo):
 
     bonus: Float[Array, ""]
     """Mean bonus of a step, in the unit of rewards."""
-    explained_variance: Float[Array, ""]
-    """Share of the variance of the returns that the value function explained before the fit."""
-    value_accepted: Bool[Array, ""]
-    """False if the fitted value function was not finite: it stays as it was."""
-    policy_step: Any
-    """Info of the policy's step."""
     inference: InferenceInfo
     inference_accepted: Bool[Array, ""]
     """False if encoder or decoder were not finite: they stay as they were."""
@@ -140,7 +135,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
             inference=self.inference.init(encoder, decoder),
             value=self.value.init(keys[3], seen, problem.action_size),
             bonus=self.bonus.init(keys[4], seen),
-            buffer=TrialBuffer.empty(*self._capacity(problem), *sizes),
+            buffer=empty_buffer(*self._capacity(problem), *sizes),
             iteration=jnp.zeros((), int),
         )
 
@@ -154,7 +149,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     def weights(self, state: VaribadState) -> BeliefNetworks:
         return state.networks
 
-    def replay(self, state: VaribadState) -> TrialBuffer:
+    def replay(self, state: VaribadState) -> Ring:
         return state.buffer
 
     def belief(
@@ -207,16 +202,15 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
         value, value_accepted = self.value.fit(
             keys[2], state.value, rewarded, advantages + expected
         )
-        buffer = state.buffer.extend(steps)
+        buffer = state.buffer.extend(steps, jnp.ones(len(steps.valid), bool))
         encoder, decoder, adam, inference, inference_accepted = self.inference.learn(
             keys[3], policy.encoder, self.decoder, decoder, state.inference, buffer
         )
         statistics = policy.statistics.with_batch(raw, trials.valid)
         policy = BeliefPolicy(encoder, inner, statistics, self.observed_reward)
         info = VaribadInfo(
-            **describe_trials(episodes, trials),
+            **describe_trials(episodes, trials, advantages, expected),
             bonus=masked_mean(bonus, trials.valid),
-            explained_variance=explained_variance(advantages, expected, trials.valid),
             value_accepted=value_accepted,
             policy_step=step,
             inference=inference,

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from maesn.axes import ActionKind, ObservedReward, RecurrentState
+from maesn.axes import ObservedReward, RecurrentState
 from maesn.learners.varibad.encoder import BeliefEncoder
 from maesn.numerics import AbstractDistribution, DiagonalGaussian
 from maesn.numerics.normalization import ObservationStatistics
@@ -74,10 +74,6 @@ class BeliefPolicy(AbstractPolicy):
             policy_input.previous_reward,
             policy_input.observation,
         )
-
-    @property
-    def action_kind(self) -> ActionKind:
-        return self.policy.action_kind
 
     @property
     def distribution(self) -> type[AbstractDistribution]:

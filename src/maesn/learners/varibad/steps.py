@@ -3,11 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from maesn.axes import Key
 from maesn.experience.episodes import Episodes
 from maesn.numerics import Ring
 
@@ -52,38 +50,11 @@ def _steps(episodes: Episodes) -> Steps:
     )
 
 
-class TrialBuffer(eqx.Module):
-    """The last trials, of bounded memory: a row of the ring is a whole trial."""
-
-    ring: Ring
-    observation_size: int = eqx.field(static=True)
-    action_size: int = eqx.field(static=True)
-
-    @staticmethod
-    def empty(capacity: int, time: int, observation_size: int, action_size: int) -> "TrialBuffer":
-        """Return a buffer that `capacity` trials of `time` steps fit into."""
-        features = step_features(observation_size, action_size)
-        return TrialBuffer(Ring.empty(capacity, time * features), observation_size, action_size)
-
-    def extend(self, steps: Steps) -> "TrialBuffer":
-        """Append trials `[trial, time, ...]`; the oldest ones make room."""
-        wide = [x[..., None].astype(float) if x.ndim == 2 else x for x in steps]
-        rows = jnp.concatenate(wide, axis=-1).reshape(steps.valid.shape[0], -1)
-        ring = self.ring.extend(rows, jnp.ones(len(rows), bool))
-        return TrialBuffer(ring, self.observation_size, self.action_size)
-
-    def sample(self, key: Key, number: int) -> Steps:
-        """Draw trials uniformly, with replacement."""
-        rows = self.ring.sample(key, number)
-        o, a = self.observation_size, self.action_size
-        steps = rows.reshape(number, -1, step_features(o, a))
-        return Steps(
-            steps[..., :o],
-            steps[..., o : o + a],
-            steps[..., o + a],
-            steps[..., o + a + 1 : -1],
-            steps[..., -1] > 0,
-        )
+def empty_buffer(capacity: int, time: int, observation_size: int, action_size: int) -> Ring:
+    """Return a ring without trials, whose rows are whole trials of `time` steps."""
+    observation, number = jnp.zeros((time, observation_size)), jnp.zeros(time)
+    action = jnp.zeros((time, action_size))
+    return Ring.empty(capacity, Steps(observation, action, number, observation, number > 0))
 
 
 def step_features(observation_size: int, action_size: int) -> int:

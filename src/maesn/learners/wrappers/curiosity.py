@@ -109,26 +109,19 @@ class CuriosityBonus(eqx.Module):
             )
         sizes = (observation_size + action_size, *self.hidden_sizes, observation_size)
         network = init_bayesian_network(key, sizes, self.prior_std)
-        pool = Ring.empty(self.pool_size, network.input_size + network.output_size)
-        return self._begin(network, pool, jnp.zeros((), bool))
+        pool = Ring.empty(self.pool_size, jnp.zeros(network.input_size + network.output_size))
+        opt_state = optax.adam(self.learning_rate).init(network)
+        medians = Ring.empty(self.median_window, jnp.zeros(1))
+        return CuriosityState(network, opt_state, pool, medians, jnp.zeros((), bool))
 
     def start(self, trained: CuriosityState) -> CuriosityState:
         """Return a new state with the network and the pool of another one.
 
         The pool's moments standardise the network's inputs and outputs, so both go together.
         """
-        return self._begin(trained.network, trained.pool, trained.has_learned)
-
-    def _begin(
-        self, network: BayesianNetwork, pool: Ring, has_learned: Bool[Array, ""]
-    ) -> CuriosityState:
-        return CuriosityState(
-            network=network,
-            opt_state=optax.adam(self.learning_rate).init(network),
-            pool=pool,
-            medians=Ring.empty(self.median_window, 1),
-            has_learned=has_learned,
-        )
+        opt_state = optax.adam(self.learning_rate).init(trained.network)
+        medians = Ring.empty(self.median_window, jnp.zeros(1))
+        return replace(trained, opt_state=opt_state, medians=medians)
 
     def judge(
         self, key: Key, state: CuriosityState, episodes: Episodes
