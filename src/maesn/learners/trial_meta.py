@@ -57,7 +57,7 @@ def describe_trials(
     advantages: Float[Array, "trial time"],
     expected: Float[Array, "trial time"],
 ) -> dict[str, Float[Array, ""]]:
-    """Return the fields of `TrialInfo` but for those of the two fits."""
+    """Return the fields of `TrialInfo` but `value_accepted` and `policy_step`."""
     first, last, behaviour = episodes[0], episodes[-1], trials.behaviour
     return {
         "return_before": first.undiscounted_return.mean(),
