@@ -39,8 +39,14 @@ def export_run(
     elif latents is not None or task is not None:
         raise RunError("`latents` and `task` belong together: give both of them, or none.")
     if type(rule) is SearchRule and start is None:  # a subclass may have another model of returns
-        named, any_reward = rule.prior, rule.any_reward
-        found = find_prior(run, checkpoint.state, run.env("sparse"), False, named, any_reward)
+        found = find_prior(
+            run,
+            checkpoint.state,
+            run.env("sparse"),
+            action_noise=False,
+            name=rule.prior,
+            any_reward=rule.any_reward,
+        )
         search = found, rule.settings
         if not rule.any_reward:
             radius = env.sparse_radius  # 0 where it is not known, as in environments of others

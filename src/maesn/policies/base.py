@@ -43,7 +43,8 @@ class AbstractPolicy(eqx.Module):
     def action_kind(self) -> ActionKind:
         """Whether actions are vectors of real numbers, or choices (one-hot vectors).
 
-        The collector refuses a policy of another kind than that of its environment.
+        It follows from `distribution`: to choose, return a `Categorical` there. The collector
+        refuses a policy of another kind than that of its environment.
         """
         return "discrete" if issubclass(self.distribution, Categorical) else "continuous"
 
