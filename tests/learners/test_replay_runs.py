@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 from learners import test_pearl, test_varibad
 from small_runs import create, finish, metrics, outcome, reopened, tensors
 
 from maesn.numerics.mesh import sharing_tasks
-from maesn.runs.checkpoint import REPLAY
+from maesn.runs.checkpoint import REPLAY, digest_of_arrays, read_checkpoint, save_checkpoint
 
 LEARNERS = {
     "rings": test_pearl.tiny(),
@@ -32,6 +33,19 @@ def test_an_interrupted_run_is_the_same_and_its_newest_checkpoint_alone_has_repl
     assert first.name == second.name
     assert not [name for name in tensors(whole.checkpoints()[-1]) if held in name]
     assert metrics(whole)[-1]["environment_steps"] == learner.planned_episodes(3, 4) * 40
+
+
+@every_learner
+def test_a_run_with_a_replay_of_another_layout_opens_with_an_empty_one(
+    held: str, learner: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run = finish(create(tmp_path, learner=learner, iterations=2))
+    (file,) = tmp_path.rglob(f"{REPLAY}*")
+    save_checkpoint(file, {"older": np.ones(3)}, read_checkpoint(file)[1])
+    state = reopened(run).latest_state()
+    assert "The replay of" in caplog.text
+    found, empty = map(learner.replay, (state, run.untrained_state()))
+    assert digest_of_arrays(found) == digest_of_arrays(empty)
 
 
 @every_learner

@@ -15,7 +15,10 @@ from maesn.envs import FAMILIES
 from maesn.gym.env import TaskEnv as TaskEnv
 
 IDS = {name: f"maesn/{type(family.make_env()).__name__}-v0" for name, family in FAMILIES.items()}
-"""Family -> the name under which Gymnasium makes it."""
+"""Family -> the name under which Gymnasium makes it.
+
+Users write these names: a class of the library that is renamed must keep its own here.
+"""
 
 for _family, _id in IDS.items():
     if _id not in gymnasium.registry:

@@ -23,8 +23,8 @@ CURVATURE_EPSILON = 1e-8
 class Candidate(NamedTuple):
     """Loss and KL of candidate parameters."""
 
-    loss: Float[Array, ""]
-    kl: Float[Array, ""]
+    loss: Float[Array, "*task"]
+    kl: Float[Array, "*task"]
     """Mean KL(old || candidate) of the action distributions."""
 
 
