@@ -58,10 +58,12 @@ def test_the_prior_of_the_latent_is_learned_and_new_tasks_start_from_it() -> Non
 
 
 def test_the_page_has_the_method_in_a_study(tmp_path: Path) -> None:
-    (study,) = blocks_of(ROOT / "docs" / "howto" / "own_method.md", "toml")
-    (tmp_path / "reptile.toml").write_text(study, encoding="utf-8")
-    plan = maesn.Study.load(tmp_path / "reptile.toml").jobs
-    trained = [job for job in plan.values() if "Reptile" in job.name and job.iterations]
+    (text,) = blocks_of(ROOT / "docs" / "howto" / "own_method.md", "toml")
+    (tmp_path / "reptile.toml").write_text(text, encoding="utf-8")
+    study = maesn.Study.load(tmp_path / "reptile.toml")
+    methods = {line.first.method for one in study.comparisons for line in one.lines["lines"]}
+    assert METHOD in methods  # as `maesn train` records it
+    trained = [job for job in study.jobs.values() if "Reptile" in job.name and job.iterations]
     assert [job.iterations for job in trained] == [100] * 3
     # 100 iterations of 3 updates in 10 tasks with 20 episodes, and the horizon of `point`.
     horizon = maesn.FAMILIES["point"].make_env().horizon

@@ -78,7 +78,7 @@ def train_run(
     """Train a run, from its latest checkpoint if there is one."""
     path = directory / RUN
     if (path / CONFIG).exists():
-        run = Run.open(path, settings.own_family)
+        run = Run.open(path, settings.own_family, settings.own_method)
     else:
         run = Run.create(path, learner, settings, init_from=init_from or None)
     with closing(train(run)) as iterations:

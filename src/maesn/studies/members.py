@@ -201,7 +201,7 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
     learner.check_batch(settings.episodes_per_task)
     tasks = find_tasks(settings.tasks, resolved)
     config = new_config(settings, learner, resolved, tasks)
-    own = settings.own_family, own_type(learner)
+    own = settings.own_family, settings.own_method or own_type(learner)
     run = Run(Path(name), config, resolved, tasks, *own)
     check_policy(learner.player(_blank_state(run)), run.env())
     named, document = study.runs[name].init_from, config.document()
@@ -211,7 +211,8 @@ def _to_train(study: StudySpec, name: str, family: str, seed: int) -> TrainedRun
         del document[immaterial]
     del document["settings"]["checkpoint_every"]
     digest = digest_of_document(document)
-    job = f"train-{in_files(resolved.name)}-{settings.method}-seed-{seed}-{digest}"
+    who = f"{in_files(resolved.name)}-{in_files(settings.method)}"
+    job = f"train-{who}-seed-{seed}-{digest}"
     start = "" if source is None else str(source.directory.resolve())
     return trained_run(run, digest, needs=(job,), init_from=start)
 
@@ -221,7 +222,7 @@ def _settings(
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
     spec = study.runs[name]
     preset, usual, world = spec.preset or name, {}, study.world(family)
-    if ":" in preset:
+    if is_own := ":" in preset:
         learner = own_method(preset)
     else:
         learner = learners.recommended(preset, world.family)
@@ -236,7 +237,8 @@ def _settings(
         (path,) = error.args
         known = [*vars(spec), *names, *leaves(fields_to_json(learner))]
         raise ValueError(f"there is no setting `{path}`.{suggestion(path, known)}") from error
-    return learner, dataclasses.replace(settings, method=learners.method_name(learner))
+    method = preset if is_own else learners.method_name(learner)
+    return learner, dataclasses.replace(settings, method=method)
 
 
 def _blank_state(run: Run) -> Any:

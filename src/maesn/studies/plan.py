@@ -168,7 +168,7 @@ class _Planner:
                 env = member.run.env()
                 if drawn and env.planar:
                     digest = _digest(member, env)
-                    who = f"{in_files(env.name)}-{member.method}"
+                    who = f"{in_files(env.name)}-{in_files(member.method)}"
                     job = f"record-{who}-seed-{member.seed}-{digest}"
                     steps = RECORDED_EPISODES * env.horizon
                     yield name, self.add(job, member.needs, steps, partial(record_run, member))
@@ -176,7 +176,7 @@ class _Planner:
     def evaluate(self, name: str, member: AbstractMember, asked: Evaluation) -> Iterator[str]:
         """Plan the evaluation of a member, some tasks at a time; yield the names of the jobs."""
         tasks, budget, env, needs = self.tasks(asked), asked.budget, member.env(asked), member.needs
-        who = f"{in_files(env.name)}-{member.method or name}"
+        who = f"{in_files(env.name)}-{in_files(member.method or name)}"
         without_noise = {} if asked.action_noise else {"action_noise": False}
         is_search = asked.rule is not None and asked.rule.needs_return_prior
         if is_search and isinstance(member, TrainedRun):
