@@ -67,6 +67,7 @@ from maesn.learners.presets import varibad as varibad
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner as RecurrentMetaLearner
 from maesn.learners.recurrent.value import RecurrentValue as RecurrentValue
 from maesn.learners.scratch.baselines import FixedPolicy as FixedPolicy
+from maesn.learners.scratch.fine_tuning import FineTuning as FineTuning
 from maesn.learners.scratch.policy_gradient import PolicyGradient as PolicyGradient
 from maesn.learners.varibad.bonus import HyperBonus as HyperBonus
 from maesn.learners.varibad.decoder import BeliefDecoderSettings as BeliefDecoderSettings
@@ -76,7 +77,6 @@ from maesn.learners.varibad.meta_learner import VaribadMetaLearner as VaribadMet
 from maesn.learners.varibad.value import BeliefValue as BeliefValue
 from maesn.learners.wrappers.bonus import BonusFastLearner as BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
-from maesn.learners.wrappers.fine_tuning import FineTuning as FineTuning
 from maesn.numerics import MinibatchDescent as MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion as TrustRegion
 from maesn.policies import AbstractPolicy as AbstractPolicy

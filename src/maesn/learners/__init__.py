@@ -14,8 +14,8 @@ from maesn.learners.presets import with_curiosity as with_curiosity
 from maesn.learners.recommended import recommended as recommended
 from maesn.learners.recommended import recommended_run as recommended_run
 from maesn.learners.scratch.baselines import baselines as baselines
+from maesn.learners.scratch.fine_tuning import LEAST_BATCH as LEAST_BATCH
 from maesn.learners.scratch.policy_gradient import SCRATCH as SCRATCH
 from maesn.learners.scratch.policy_gradient import TRPO as TRPO
 from maesn.learners.scratch.policy_gradient import PolicyImprovement as PolicyImprovement
 from maesn.learners.wrappers.curiosity import CuriosityBonus as CuriosityBonus
-from maesn.learners.wrappers.fine_tuning import LEAST_BATCH as LEAST_BATCH

@@ -16,11 +16,11 @@ from maesn.learners.meta import AbstractMetaLearner
 from maesn.learners.pearl.meta_learner import PearlMetaLearner
 from maesn.learners.policy_steps import TrustRegionStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaLearner
+from maesn.learners.scratch.fine_tuning import FineTuning
 from maesn.learners.scratch.policy_gradient import PolicyImprovement
 from maesn.learners.varibad.meta_learner import VaribadMetaLearner
 from maesn.learners.wrappers.bonus import BonusFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus
-from maesn.learners.wrappers.fine_tuning import FineTuning
 from maesn.numerics.trust_region import TrustRegion
 
 # Inner step size of the weights: MAML's own experiments and every published descendant use 0.1.

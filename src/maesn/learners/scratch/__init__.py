@@ -1,1 +1,1 @@
-"""Learners that begin anew in every task: REINFORCE and TRPO; and agents that learn nothing."""
+"""Learners without meta-training: REINFORCE, TRPO, fine-tuning, and what learns nothing."""

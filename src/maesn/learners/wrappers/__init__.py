@@ -1,1 +1,1 @@
-"""Wrappers of learners: a curiosity bonus, and fine-tuning of the policy's weights."""
+"""Wrappers of learners: a bonus for what is new, beside the reward."""
