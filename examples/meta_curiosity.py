@@ -7,7 +7,7 @@
 The bonus is that of VIME (docs/explanation/methods/vime.md). One model of the dynamics serves all
 tasks: their dynamics are the same. It is trained at the end of each meta-iteration and stays the
 same during it, and new tasks start from it. `rl2_with_curiosity` is the same around RL2; name
-others likewise. All training is in one process.
+others likewise.
 """
 
 from dataclasses import fields, replace

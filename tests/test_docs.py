@@ -17,13 +17,16 @@ from maesn import cli
 from maesn.commands import options, train
 from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.gradient.outer import FirstOrderInfo
+from maesn.learners.pearl.meta_learner import PearlInfo
+from maesn.learners.pearl.sac import SoftLosses
 from maesn.learners.policy_steps import ProximalInfo
 from maesn.learners.trial_meta import TrialInfo
 from maesn.learners.varibad.inference import InferenceInfo
 from maesn.learners.varibad.meta_learner import VaribadInfo
 from maesn.numerics.trust_region import TrustRegionInfo
 
-# Their programs take seconds, and what they call has tests of its own: `make docs` runs them.
+# Their programs take seconds, and what they call has tests of its own: `make test-docs` runs
+# them.
 LONG = [
     "README.md",
     "docs/tutorials/point.md",
@@ -146,6 +149,8 @@ def test_the_site_describes_every_method_and_every_public_name(
         ("outer/", TrustRegionInfo),
         ("outer/", FirstOrderInfo),
         ("policy_step/", ProximalInfo),
+        ("", PearlInfo),
+        ("losses/", SoftLosses),
     ],
 )
 def test_every_metric_is_described(prefix: str, info: type) -> None:

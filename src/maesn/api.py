@@ -48,8 +48,8 @@ def train(
         learner: the method and its settings; see `maesn.PRESETS`.
         settings: of the run.
         directory: of the run, which is made; one that holds a run already is refused.
-        init_from: directory of a run, or name of a policy that comes with the library, whose policy
-            and step sizes to start from.
+        init_from: directory of a run, or name of a policy that comes with the library, whose
+            weights to start from; what belongs to single tasks, such as latents, begins afresh.
         family: a family of your own; None for the one that `settings.family` names.
         keep: the latest checkpoints that stay, beside the first; 0 for all.
         devices: devices that share the tasks of a meta-batch; on a CPU, devices are threads. None:

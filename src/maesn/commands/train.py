@@ -28,12 +28,12 @@ class Options:
     learner: Annotated[AbstractMetaLearner[Any, Any], tyro.conf.arg(name="")]
     settings: Literal["recommended", "reference"] = "recommended"
     """Which settings are the defaults. recommended: those that were found to work on the family,
-    where they are known. reference: the published ones."""
+    where they are known. reference: the published ones. A method of your own has its own."""
     run: Path | None = None
     """Directory of the new run; it must not hold a run yet. None: runs/METHOD-FAMILY-SEED."""
     init_from: Path | None = None
-    """Run whose policy and step sizes training starts from: its directory, or the name of a policy
-    that comes with the library."""
+    """Run whose weights training starts from: its directory, or the name of a policy that comes
+    with the library. What belongs to single tasks, such as latents, begins afresh."""
     devices: int | None = None
     """Number of devices that share the tasks of a meta-batch. On a CPU, devices are threads. None:
     one; but for a method whose inner update moves the policy's weights, the largest number up to

@@ -20,7 +20,7 @@ class AbstractContextSettings(eqx.Module, Generic[Value]):
     """Settings of a context: where it starts, its penalty, and how its z is differentiated."""
 
     is_adaptable: ClassVar[bool] = True
-    """Whether a context has parameters that an inner step can move."""
+    """Whether a context has parameters that an inner update can move."""
 
     @abstractmethod
     def init(self, key: Key, num_tasks: int, description_size: int = 0) -> Value:

@@ -1,4 +1,4 @@
-"""An agent: a policy and one task's context. All that an inner step may change."""
+"""An agent: a policy and one task's context. All that an inner update may change."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,1 +1,1 @@
-"""From experience to change inside one task: advantages, the surrogate losses, the inner step."""
+"""From experience to change inside one task: advantages, the surrogate losses, the inner update."""

@@ -1,4 +1,4 @@
-"""The inner step: which parts of an agent change in a new task, and how far."""
+"""The inner update: which parts of an agent change in a new task, and how far."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ from maesn.settings import check_number, check_positive
 
 
 class InnerStep(eqx.Module):
-    """The inner step of one part of an agent, along its policy gradient."""
+    """The inner update of one part of an agent, along its policy gradient."""
 
     initial_size: float = 1.0
     """Step size of every parameter before training."""

@@ -1,4 +1,4 @@
-"""Advantages: a linear baseline fitted per task, and generalised advantage estimation."""
+"""Advantages: a linear value function fitted per task, and generalised advantage estimation."""
 
 import equinox as eqx
 import jax
@@ -36,24 +36,24 @@ class Advantages(eqx.Module):
 
 
 class AdvantageEstimator(eqx.Module):
-    """Generalised advantage estimation with a linear baseline.
+    """Generalised advantage estimation with a linear value function.
 
-    The baseline is fitted anew to each task's batch, by ridge regression of the discounted returns
-    on rllab's features. It keeps no state. Default values follow the reference.
+    The value function is fitted anew to each task's batch, by ridge regression of the discounted
+    returns on rllab's features. It keeps no state. Default values follow the reference.
     """
 
     discount: float = 0.99
     """Discount factor gamma of the rewards."""
     gae_lambda: float = 1.0
-    """Lambda of generalised advantage estimation. 1: the advantage is return minus baseline."""
+    """Lambda of generalised advantage estimation. 1: the advantage is return minus value."""
     ridge: float = 1e-5
-    """Weight of the penalty on squared coefficients in the fit of the baseline."""
+    """Weight of the penalty on squared coefficients in the fit of the value function."""
     drifts: bool = False
     """Whether to learn from a task's episodes if all of them have the same rewards. Reference: yes.
 
-    Such episodes do not tell good actions from bad ones. But the baseline does not fit them
-    exactly, and standardised advantages make its small errors large: a trust region step then has
-    its full length, in a random direction. If all rewards are 0, the fit is exact and nothing
+    Such episodes do not tell good actions from bad ones. But the value function does not fit
+    them exactly, and standardised advantages make its small errors large: a trust region step then
+    has its full length, in a random direction. If all rewards are 0, the fit is exact and nothing
     moves."""
 
     def __check_init__(self) -> None:
@@ -64,7 +64,7 @@ class AdvantageEstimator(eqx.Module):
     def __call__(self, episodes: Episodes) -> Advantages:
         """Return the advantages of one task, from its episodes `[episode, time, ...]`.
 
-        The episode's advantage is the discounted return minus the baseline at t = 0, standardised
+        The episode's advantage is the discounted return minus the value at t = 0, standardised
         over the task's episodes; the steps' advantages are standardised over all valid steps.
         All advantages are 0 where all of several episodes have the same rewards (a sparse reward
         without control costs, before the goal is found), unless the estimator `drifts`.

@@ -1,4 +1,4 @@
-"""The methods that are meta-trained, as fillings of the slots of three learners.
+"""The methods that are meta-trained, as fillings of the slots of four learners.
 
 Each function cites what it follows. Settings that are not named here are the defaults of the
 slots, which follow the reference.
@@ -30,7 +30,7 @@ POLICY_STEP = 0.1
 THETA_STEP = 0.0
 # Step size of MAML + bias, from the reference's run on the ant.
 BIAS_STEP = 0.5
-# For inner steps that run through the policy; results/curvature has the measurements.
+# For inner updates that run through the policy; results/curvature has the measurements.
 HESSIAN_STRIDE = 4
 # For a bias that is adapted alone; measured there as well.
 BIAS_HESSIAN_STRIDE = 10
@@ -50,7 +50,7 @@ def maesn_theta(**settings: Any) -> GradientMetaLearner:
     """MAESN with the optional update of the policy, equation (6).
 
     Stage-wise, as the paper found necessary: the first 150 meta-iterations leave the policy alone
-    in the inner step. The paper gives no length of the stage; this is half of a run of 300.
+    in the inner update. The paper gives no length of the stage; this is half of a run of 300.
     """
     policy = InnerStep(THETA_STEP, first_iteration=150)
     return _fill(

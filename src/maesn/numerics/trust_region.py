@@ -55,7 +55,7 @@ class TrustRegion(eqx.Module):
     """Bound on the mean KL divergence of one step. Reference: 0.01."""
     cg_steps: int = 20
     """Number of steps of the conjugate gradient method. Reference: 10, with curvature by finite
-    differences. `docs/explanation/design.md` compares runs with 10 and with 20."""
+    differences. `results/curvature` compares runs with 10 and with 20."""
     damping: float = 1e-5
     """Number that is added to the diagonal of the curvature. Reference: 1e-5."""
     backtrack_ratio: float = 0.8

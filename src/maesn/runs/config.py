@@ -88,7 +88,8 @@ class RunSettings:
     iterations: int = 300
     """Number of meta-iterations in total."""
     episodes_per_task: int = 20
-    """Number of episodes of each task before an inner update, and again after it."""
+    """Number of episodes that each task of a meta-batch plays at a time; methods with an inner
+    update play as many again after it."""
     checkpoint_every: int = 10
     """Number of iterations between two checkpoints. Another is written at the end and on Ctrl-C."""
     num_threads: int = 0

@@ -37,8 +37,8 @@ def latent_of(learner: AbstractFastLearner[Any]) -> AbstractSettableLatent:
     """Return the latent of a learner that has one; raise a `ValueError` if it has none."""
     if learner.latent is None:
         raise ValueError(
-            "a search needs a policy with a latent, as that of `maesn`, `maesn_theta` or "
-            f"`latent_space`, but this method has a `{type(learner).__name__}` without one."
+            "a search needs a policy with a latent, as that of `maesn`, `latent_space` or `pearl`, "
+            f"but this method has a `{type(learner).__name__}` without one."
         )
     return learner.latent
 

@@ -27,12 +27,12 @@ def sampled_distributions(
 ) -> AbstractDistribution:
     """Return the adapted agents' action distributions at some of their steps, for J'FJ.
 
-    Their values are exact. Their derivative with respect to `parameters` takes the inner steps'
+    Their values are exact. Their derivative with respect to `parameters` takes the inner updates'
     own derivative, above all the Hessian of the inner loss, from some of the steps before them:
 
         J = dpi/d(adapted) (I - step size * H),  H ~ mean over sampled steps of the Hessian
 
-    With strides of 1 all is exact. Inner steps that depend on whole episodes alone, such as that
+    With strides of 1 all is exact. Inner updates that depend on whole episodes alone, such as that
     of a latent by likelihood ratio, are exact with any stride.
 
     The derivative by the step sizes, which is the gradient, is of the same sample as the Hessian,
@@ -75,7 +75,7 @@ def _moved(
     thinned: Experience,
     exact: Agents,
 ) -> Agents:
-    """Return `exact`, with the derivative that an inner step has on the thinned episodes."""
+    """Return `exact`, with the derivative that an inner update has on the thinned episodes."""
     moved = objective.adaptation(agents, sizes, objective.context, *thinned)
     # Exactly the value: x + 0.
     return jax.tree.map(lambda x, y: x + (y - jax.lax.stop_gradient(y)), exact, moved)

@@ -133,7 +133,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
         Capabilities(least_episodes=needed).check_episodes(episodes_per_task)
 
     def slots(self) -> tuple[Any, ...]:
-        """Return the context, the parts that an inner step changes, and if training has one."""
+        """Return the context, the parts that an inner update changes, and if training has one."""
         return (
             type(self),
             type(self.context),

@@ -69,7 +69,7 @@ class TrustRegionOuterStep(AbstractOuterStep):
     reference. Neighbouring steps resemble each other; 20 suits episodes of 50 to 200 steps."""
     hessian_stride: int | None = None
     """The same distance for the Hessian of the inner loss. None: `curvature_stride`. The Hessian is
-    part of the curvature where an inner step runs through the policy
+    part of the curvature where an inner update runs through the policy
     (`maesn.learners.gradient.curvature`). Its terms nearly cancel, so it needs more steps."""
 
     def __check_init__(self) -> None:

@@ -50,7 +50,7 @@ class RecurrentMetaLearner(AbstractTrialMetaLearner[RecurrentMetaState, TrialInf
     policy_step: AbstractPolicyStep = ProximalStep()
     """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO)."""
     value: RecurrentValue = RecurrentValue()
-    """The baseline that advantages are measured from."""
+    """The value function that advantages are measured from."""
     meta_batch_size: int = 20
     """Training tasks per meta-iteration, drawn without replacement. In each of them
     `episodes_per_task` trials are played in parallel."""

@@ -100,7 +100,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     """How the policy is improved: `ProximalStep` (PPO) or `TrustRegionStep` (TRPO). Reference: clip
     0.05 on GridNavi, 0.1 on point goals; entropy weight 0.01 and 0.001; 4 and 8 minibatches."""
     value: BeliefValue = BeliefValue(descent=PUBLISHED_DESCENT)
-    """The baseline that advantages are measured from."""
+    """The value function that advantages are measured from."""
     bonus: HyperBonus = HyperBonus()
     """The bonus of HyperX; none by default."""
     observed_reward: ObservedReward = "own"
