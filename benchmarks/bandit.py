@@ -24,7 +24,7 @@ from safetensors.numpy import load_file, save_file
 
 from maesn import ProximalStep, RecurrentMetaLearner, RecurrentValue
 from maesn.envs import TaskSet
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.experience.episodes import Collect
 from maesn.learners import Problem

@@ -21,7 +21,7 @@ import tyro
 from random_bonus import curiosities
 
 from maesn.envs import find_family
-from maesn.evaluation.evaluate import adapt, as_rows
+from maesn.evaluation.adapting import adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners.scratch.policy_gradient import vime
 from maesn.learners.wrappers.curiosity import CuriosityBonus

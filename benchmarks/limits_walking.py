@@ -18,7 +18,7 @@ from jaxtyping import Float
 from maesn.envs import find_family
 from maesn.envs.ant_v5 import GOAL_RADIUS, LARGEST_DISTANCE, SURVIVAL_BONUS
 from maesn.envs.walking import HORIZON
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.learners import baselines
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

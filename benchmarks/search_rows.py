@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from maesn.evaluation.evaluate import AdaptationOutcome, adapt
+from maesn.evaluation.adapting import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule, from_text

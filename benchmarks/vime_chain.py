@@ -18,7 +18,7 @@ import tyro
 from chain import chain
 from random_bonus import curiosities
 
-from maesn.evaluation.evaluate import AdaptationCurves, adapt
+from maesn.evaluation.adapting import AdaptationCurves, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import SCRATCH, AbstractFastLearner
 from maesn.learners.wrappers.curiosity import CuriosityBonus

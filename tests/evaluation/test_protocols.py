@@ -13,7 +13,7 @@ from small_runs import finish, tiny_maesn, tiny_settings
 
 from maesn import cli
 from maesn.api import adapt
-from maesn.evaluation.evaluate import _DEPLOYED, _START, _task_keys
+from maesn.evaluation.adapting import _DEPLOYED, _START, _task_keys
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.protocols import PROTOCOLS
 from maesn.reporting.reading import MEASURES

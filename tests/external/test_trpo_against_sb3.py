@@ -12,7 +12,7 @@ from sb3_contrib import TRPO
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from maesn.envs.foreign import gymnasium_family
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.learners import SCRATCH
 from maesn.policies import CategoricalMLP
 from maesn.worlds import make_world

@@ -9,7 +9,7 @@ from playing import keys
 
 from maesn import FixedPolicy
 from maesn.envs import AnyEnv, point
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.learners import baselines
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

@@ -10,7 +10,7 @@ from playing import assert_same, keys
 from maesn import oracle
 from maesn.context import OracleContext
 from maesn.envs import FAMILIES, BlockPushTask
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.learners import Problem
 from maesn.policies import GaussianMLP
 from maesn.worlds import make_world

@@ -21,7 +21,7 @@ from maesn import (
     maesn,
     rl2,
 )
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.learners import Problem
 from maesn.learners.gradient.outer import TrustRegionOuterStep
 from maesn.learners.recurrent.meta_learner import RecurrentMetaState

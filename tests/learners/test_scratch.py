@@ -17,7 +17,7 @@ from reference.trust_region import TrustRegionSettings
 from maesn import PolicyGradient, TrustRegionStep
 from maesn.context import Nothing
 from maesn.envs import find_family
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.inner.advantage import AdvantageEstimator

@@ -26,7 +26,7 @@ from maesn import (
     varibad,
 )
 from maesn.envs import TaskSet
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.experience.episodes import Episodes
 from maesn.learners import Problem
 from maesn.learners.trials import join_episodes

@@ -12,7 +12,7 @@ import numpy as np
 from learning_problems.probes import HiddenSide
 from maesn.context import LatentContext
 from maesn.envs import TaskSet
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import PRESETS, Problem
 from maesn.learners.gradient.outer import TrustRegionOuterStep

@@ -6,7 +6,7 @@ import numpy as np
 from learning_problems.probes import HiddenSide
 from maesn import ProximalStep, RecurrentValue
 from maesn.envs import TaskSet
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.learners import PRESETS, Problem
 from maesn.numerics import MinibatchDescent
 from maesn.policies import Recurrent

@@ -24,7 +24,7 @@ from maesn import cli
 from maesn.axes import TaskKeys
 from maesn.envs import HOSTED
 from maesn.envs.metaworld import INTERFACE, PYTHON
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.protocols import PROTOCOLS
 from maesn.experience.agent import Agents

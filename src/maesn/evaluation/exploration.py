@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.envs import AnyEnv
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents

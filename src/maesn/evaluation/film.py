@@ -16,8 +16,8 @@ from tyro.conf import Positional
 
 from maesn.axes import HostReadings, Readings
 from maesn.envs import AnyEnv
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.arguments import AnyFamily, AnyMethod, AnyRun, OptionalPath
-from maesn.evaluation.evaluate import adapt
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation, Evaluation
 from maesn.evaluation.running import adaptation_file, new_tasks, open_run
 from maesn.experience.episodes import Episodes

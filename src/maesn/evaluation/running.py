@@ -15,8 +15,8 @@ import numpy as np
 
 from maesn.context import Latent
 from maesn.envs import NAMED_SETS, describe_env
+from maesn.evaluation.adapting import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.arguments import AnyFamily, AnyMethod, AnyRun
-from maesn.evaluation.evaluate import AdaptationCurves, AdaptationOutcome, adapt, as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import AbstractFastLearner
 from maesn.reporting.reading import LATENTS, RECORD, TableName

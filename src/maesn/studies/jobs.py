@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from maesn import storage
-from maesn.evaluation.evaluate import as_rows
+from maesn.evaluation.adapting import as_rows
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import record_exploration
 from maesn.evaluation.running import held_latents

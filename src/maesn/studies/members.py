@@ -14,7 +14,7 @@ import numpy as np
 from maesn import learners
 from maesn.envs import AnyEnv
 from maesn.envs.sources import find_tasks, resolve_family
-from maesn.evaluation.evaluate import AdaptationOutcome, adapt
+from maesn.evaluation.adapting import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import evaluate
 from maesn.learners import AbstractFastLearner, AbstractMetaLearner

@@ -3,7 +3,7 @@
 import jax
 
 from maesn.envs.grid_navi import grid_navi
-from maesn.evaluation.evaluate import adapt
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.learners import Problem, recommended
 from maesn.worlds import make_world

@@ -9,7 +9,7 @@ from learning_problems.probes import HiddenEnd, hidden_end
 from maesn import maesn
 from maesn.axes import Readings
 from maesn.envs import Wheeled, point, wheeled
-from maesn.evaluation.evaluate import adapt, as_rows, measure
+from maesn.evaluation.adapting import adapt, as_rows, measure
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import explore
 from maesn.experience.episodes import Episodes
