@@ -96,6 +96,7 @@ def test_the_best_draw_of_a_run_is_deployed_in_every_task(trained: Run, few: str
         assert [0, *changes] == np.flatnonzero(moved).tolist()
 
 
+@pytest.mark.long
 def test_fine_tuning_goes_on_from_the_latent_to_deploy(trained: Run, few: str) -> None:
     added = (maesn.ThenTrpo(after=3), maesn.VimeBonus())
     rule = searches.CrossEntropy(round_size=2)

@@ -18,7 +18,7 @@ from maesn.search.stored import read_prior, run_prior
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = Run.create(tmp_path_factory.mktemp("source") / "run", tiny_maesn(), tiny_settings())
-    run_prior(run, PriorSettings(draws=4, adapted=False, episodes=2))
+    run_prior(run, PriorSettings(draws=4, adapted=False, episodes=2, searches=0))
     return run.directory
 
 

@@ -17,7 +17,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_a_stationary_process_knows_the_mean_of_the_tasks_and_none_of_them(run: Run) -> None:
-    _, prior = run_prior(run, PriorSettings(draws=6, adapted=False, episodes=2))
+    _, prior = run_prior(run, PriorSettings(draws=6, adapted=False, episodes=2, searches=0))
     trained = Trained(run.learner, run.latest_state(), lambda path, any_reward: prior)
     learner = StationaryRule().fast_learner(trained, run.env())
     model, known = learner.model, learner.settings.model(prior)

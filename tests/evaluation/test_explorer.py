@@ -37,7 +37,7 @@ from maesn.worlds.collector import Collector
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run with a prior over returns, and what is recorded of it."""
     made = create(tmp_path_factory.mktemp("explorer") / "run", tiny_maesn())
-    run_prior(made, PriorSettings(draws=12, adapted=False, episodes=2))
+    run_prior(made, PriorSettings(draws=12, adapted=False, episodes=2, searches=0))
     exploration.record_explorer(made)
     return made
 

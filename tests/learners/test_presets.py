@@ -34,11 +34,12 @@ SMALL = {
     "outer": TrustRegionOuterStep(curvature_stride=2, hessian_stride=2),
 }
 # Those that infer or remember have tests of their own (`test_pearl`, `test_varibad`,
-# `test_recurrent`). The slots of MAML with a bias appear in MAML and in MAESN.
+# `test_recurrent`). The slots of the mixtures appear in MAML and in MAESN.
+MIXTURES = ("maesn_theta", "maml_bias", "maml_bias_only")
 every_preset = pytest.mark.parametrize(
     "preset",
     [
-        pytest.param(name, marks=[pytest.mark.long] if name.startswith("maml_bias") else [])
+        pytest.param(name, marks=[pytest.mark.long] if name in MIXTURES else [])
         for name in PRESETS
         if not name.startswith(("rl2", "pearl", "varibad"))
     ],

@@ -66,7 +66,10 @@ def start(learner: RecurrentMetaLearner) -> RecurrentMetaState:
     [
         {},
         {"policy": HyperRecurrent(hidden_size=4, readout_sizes=(3,), symlog=True)},
-        {"policy_step": TrustRegionStep(TrustRegion(cg_steps=3), curvature_stride=2)},
+        pytest.param(
+            {"policy_step": TrustRegionStep(TrustRegion(cg_steps=3), curvature_stride=2)},
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["gated", "hypernetwork", "trust region"],
 )

@@ -32,6 +32,7 @@ from maesn.policies import GaussianMLP, Recurrent
 
 RECORD = Path(__file__).with_name("steps.npz")
 METHODS = ("maesn", "maesn_theta", "maml", "maml_bias", "maml_bias_only", "rl2")
+LONG = ("maesn_theta", "maml_bias", "maml_bias_only")  # mixtures of the others
 ROWS = (3, 0, 4, 1)
 # Conjugate gradients enlarge rounding, tenfold to a thousandfold in each step.
 REGION = TrustRegion(cg_steps=5, damping=1e-3)
@@ -111,7 +112,9 @@ def of_trials(learner: RecurrentMetaLearner) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [pytest.param(x, marks=[pytest.mark.long] if x in LONG else []) for x in METHODS]
+)
 def test_a_step_is_what_it_was(method: str) -> None:
     with np.load(RECORD) as recorded:
         for name, actual in computed(method).items():

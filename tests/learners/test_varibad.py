@@ -82,7 +82,9 @@ def played(policy: Any) -> tuple[BeliefPolicy, list[Episodes]]:
 NETWORKS = [GaussianMLP((4,)), Recurrent(hidden_size=3)]
 
 
-@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize(
+    "network", [NETWORKS[0], pytest.param(NETWORKS[1], marks=pytest.mark.long)]
+)
 def test_the_policy_learns_from_the_beliefs_that_it_played_with(network: Any) -> None:
     """Beliefs of whole trials, last observations included, give the recorded distributions."""
     policy, episodes = played(network)
@@ -120,7 +122,7 @@ def test_an_observation_that_is_not_finite_changes_no_belief() -> None:
 # Meta-iterations.
 
 
-@pytest.mark.parametrize("bonus", [HyperBonus(), ALL])
+@pytest.mark.parametrize("bonus", [pytest.param(HyperBonus(), marks=pytest.mark.long), ALL])
 def test_a_meta_iteration_plays_trials_believes_and_improves(
     bonus: HyperBonus, caplog: pytest.LogCaptureFixture
 ) -> None:

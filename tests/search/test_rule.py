@@ -31,7 +31,7 @@ from maesn.storage import RunError
 from maesn.worlds.collector import Collector
 from maesn.worlds.device import DeviceWorld
 
-SMALL = ["--draws", "10", "--episodes", "2", "--simulations", "20"]
+SMALL = ["--draws", "10", "--episodes", "2", "--searches", "3", "--simulations", "20"]
 FILE = "priors/sparse-0.5.safetensors"
 
 
@@ -79,7 +79,7 @@ def test_a_prior_plays_no_more_episodes_at_once_than_the_world_can_hold(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tasks adapt in parts then, to the same latents."""
-    run, settings, played = Run.open(trained), PriorSettings(draws=60, episodes=2), []
+    run, settings, played = Run.open(trained), PriorSettings(draws=60, episodes=2, searches=0), []
     whole = run_prior(run, settings, directory=tmp_path / "whole")[1]
     play = DeviceWorld.play
 
@@ -276,7 +276,7 @@ def test_without_noise_a_prior_plays_a_latent_once_and_learns_the_noise_from_a_f
     tmp_path: Path,
 ) -> None:
     run = Run.create(tmp_path / "run", tiny_maesn(), tiny_settings())
-    settings = PriorSettings(draws=30, adapted=False, episodes=1)
+    settings = PriorSettings(draws=30, adapted=False, episodes=1, searches=0)
     _, prior = run_prior(run, settings)
     assert prior.episodes == 1
     assert len(set(prior.noise)) == 1
