@@ -168,7 +168,12 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
         assert moving.n_frames == 41
         assert moving.info["loop"] == 0
         assert moving.size == still.size
-        assert still.size == (SHOWN * 310, 2 * 250)
+        assert still.size == (SHOWN * 340, 2 * 310)
+        # It begins with the last states, up to its palette: this is seen where nothing moves.
+        end, last = (np.asarray(picture.convert("RGB"), float) for picture in (still, moving))
+        moving.seek(1)
+        start = np.asarray(moving.convert("RGB"), float)
+        assert np.abs(last - end).mean() < 0.5 * np.abs(start - end).mean()
 
 
 @pytest.fixture
@@ -198,7 +203,7 @@ def test_what_draws_itself_is_filmed_by_its_own_pictures(painting: Run, tmp_path
     gif, _ = maesn.render(painting, asked, **options)
     _, _, end, ends = painters.task_set("test").tasks[task]
     with Image.open(gif) as moving:  # which leaves out what repeats the picture before
-        assert moving.n_frames == (int(end) if ends else HORIZON) + 1
+        assert moving.n_frames == (int(end) + 2 if ends else HORIZON + 1)
 
 
 def test_what_is_no_picture_is_refused(painting: Run, tmp_path: Path) -> None:

@@ -29,8 +29,9 @@ from maesn.storage import refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
 from maesn.worlds.collector import Collector
 
-_SIZE = 300, 190  # of each episode's picture, in pixels
-_PANEL = 3.1, 2.5  # of a picture with its texts, in inches
+_SIZE = 330, 248  # of each episode's picture, in pixels
+_PANEL = 3.4, 3.1  # of a picture with its texts, in inches
+_TEXT = 11  # points: two columns stay legible on a phone
 _MOST_SHOWN = 50  # episodes in a row: more are too small to see
 _MOST_PICTURES = 50  # of a film: more make the file large and nothing clearer
 # Milliseconds between two pictures: in real time, unless that is too fast or too slow to watch.
@@ -54,7 +55,7 @@ def render(
     *,
     task: int = 0,
     after: Sequence[int] | None = None,
-    shown: int = 4,
+    shown: int = 2,
     out: OptionalPath = None,
     family: AnyFamily = None,
     method: AnyMethod = None,
@@ -100,7 +101,7 @@ def render(
     if not draws_itself:
         played = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
-    title = f"{run.settings.method} on {env.name}\n{asked.reward} reward, {asked.tasks} task {task}"
+    title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
     period = np.clip(round(1000 * stride * env.control_period), _QUICKEST, _SLOWEST)
     folder = run.directory / "render" if out is None else Path(out)
     paths = [folder / f"{name}.gif", folder / f"{name}.png"]
@@ -176,22 +177,25 @@ def draw(
 def compose(
     title: str, played: Mapping[int, Sequence[Filmed]], milliseconds: int
 ) -> tuple[bytes, bytes]:
-    """Return a GIF in which all episodes move at once, and a PNG of their last pictures."""
+    """Return a GIF in which all episodes move at once, and a PNG of their last pictures.
+
+    The film begins with these, because they stand where a film is not played.
+    """
     columns = max(map(len, played.values()))
     figure = style.new_figure(columns * _PANEL[0], len(played) * _PANEL[1])
-    figure.suptitle(title, x=0.01, ha="left")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=_TEXT)
     panels = figure.subplots(len(played), columns, squeeze=False)
     images = []
     for row, (before, episodes) in zip(panels, played.items(), strict=True):
         when = f"after learning from {before} episodes" if before else "before adaptation"
-        row[0].set_title(when, loc="left")
-        for number, (axes, episode) in enumerate(zip(row, episodes, strict=True), start=1):
+        row[0].set_title(when, loc="left", fontsize=_TEXT)
+        for number, (axes, episode) in enumerate(zip(row, episodes, strict=True), before + 1):
             images.append((axes.imshow(episode.pictures[-1]), episode.pictures))
             reached = ", goal reached" if episode.solved else ""
             colour = style.BLUISH_GREEN if episode.solved else style.DARK_GREY
             caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
             axes.set(xticks=[], yticks=[])
-            axes.set_xlabel(caption, color=colour)
+            axes.set_xlabel(caption, color=colour, fontsize=_TEXT)
             axes.spines[:].set(visible=episode.solved, color=colour, linewidth=5)
     style.settle(figure)
     canvas: Any = FigureCanvasAgg(figure)
@@ -206,7 +210,7 @@ def compose(
     sheets[-1].save(png, "PNG")
     # One palette for all pictures: with palettes of their own, still areas would flicker.
     palette = sheets[-1].quantize(dither=Image.Dither.NONE)
-    first, *others = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in sheets)
-    durations = [milliseconds] * len(others) + [_HOLD]
-    first.save(gif, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
+    *others, last = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in sheets)
+    durations = [_HOLD] + [milliseconds] * len(others)
+    last.save(gif, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
     return gif.getvalue(), png.getvalue()

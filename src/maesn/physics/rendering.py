@@ -191,21 +191,21 @@ def _add_line(
 def _camera(view: View, field_of_view: float, aspect: float) -> Any:
     """Return the nearest camera with a fixed direction that sees the whole view.
 
-    A point at p from the middle of the view is seen if |p . right| <= depth tan(f / 2) aspect and
+    A point at p from where the camera looks is seen if |p . right| <= depth tan(f / 2) aspect and
     |p . up| <= depth tan(f / 2), where f is the vertical field of view and depth = distance +
-    p . forward. Solved for the distance, for the corners of the view.
+    p . forward. Solved for the corners of the view: near and far edge are at the picture's own
+    edges, unless the view is so wide that the corners at the near edge decide.
     """
-    lower, upper = np.array(view.lower), np.array(view.upper)
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = (*(lower + upper) / 2, 0.0)
-    camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
-    half_x, half_y = _MARGIN * (upper - lower) / 2
+    (half_x, half_y), middle = _MARGIN * np.ptp(view, axis=0) / 2, np.mean(view, axis=0)
     sine, cosine = math.sin(math.radians(-_ELEVATION)), math.cos(math.radians(-_ELEVATION))
     slope = math.tan(field_of_view / 2)
-    camera.distance = max(
-        max(half_x / (slope * aspect), abs(y) * sine / slope) - y * cosine
-        for y in (-half_y, half_y)
-    )
+    nearer = half_y * cosine * slope / sine  # than the middle, because near things look larger
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = (middle[0], middle[1] - nearer, 0.0)
+    camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
+    height = (half_y - nearer) * (sine / slope + cosine)
+    width = half_x / (slope * aspect) + (half_y - nearer) * cosine
+    camera.distance = max(height, width)
     return camera
 
 
