@@ -39,11 +39,11 @@ RUNS = ("wheeled", "ant", "blockpush")
 LINES = {
     "search": ("search", "deployed", style.VERMILLION, "-o"),
     "cma_es": ("CMA-ES", "deployed", style.SKY_BLUE, "-D"),
-    "cross_entropy": ("cross-entropy", "deployed", style.BLUISH_GREEN, "-^"),
-    "best_of_wide": ("best of draws", "deployed", style.ORANGE, "-s"),
-    "gradient": ("gradient, at the mean", "deployed", style.BLUE, "-v"),
+    "cross_entropy": ("cross-entropy", "deployed", style.BLUE, "-^"),
+    "best_of_wide": ("best of draws", "deployed", style.GREY, "-s"),
+    "gradient": ("gradient, at the mean", "deployed", style.VERMILLION, "--v"),
 }
-DRAWN = ("gradient", ("gradient, z drawn", "drawn", style.BLUE, "--v"))
+DRAWN = ("gradient", ("gradient, z drawn", "drawn", style.VERMILLION, ":v"))
 
 
 @dataclasses.dataclass(frozen=True)

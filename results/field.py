@@ -43,7 +43,7 @@ SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, a
 # Lines of the figure -> their looks.
 SHOWN = {
     **{name: METHOD_STYLES[name] for name in ("maml", "pearl", "rl2", "varibad")},
-    "maesn-gradient": MethodStyle("MAESN, gradient", style.ORANGE, "--", "D"),
+    "maesn-gradient": MethodStyle("MAESN, gradient", style.VERMILLION, "--", "D"),
     SEARCH: MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
 }
 ORACLE, FLOOR = "oracle", "baseline"

@@ -6,7 +6,7 @@ const UNIT = 0.0005; // metres
 
 // ---- the recordings ---------------------------------------------------------------------------
 
-async function unpacked(text, size) { // an Int16Array or Float32Array; see `packed` of build.py
+async function unpacked(text, size) { // an Int16Array or Float32Array; see `packed` of games.py
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());
@@ -171,7 +171,7 @@ function proposed(parts, weights, uniform, settings) {
   return best;
 }
 
-function transcript(robot, scene, goal, track) { // all attempts, as `transcript` of build.py
+function transcript(robot, scene, goal, track) { // all attempts, as `transcript` of games.py
   const recording = robot.scenes[scene][0], latents = recording.latents;
   robot.model ??= hypotheses(robot.prior, latents, data.settings);
   const parts = robot.model.map(start), rows = [];
@@ -393,7 +393,7 @@ async function choose(robot, scene = 0) {
     "aria-pressed": at === scene, onclick: () => choose(robot, at),
   }, `Layout ${at + 1}`));
   const box = make("input", { type: "checkbox", id: "anywhere", onchange: () => { now.anywhere = box.checked; hide(now.goal); } });
-  const anywhere = make("label", {}, box, "anywhere: never trained there");
+  const anywhere = make("label", {}, box, "anywhere, also where it was never trained");
   $("#options").replaceChildren(...(layouts.length > 1 ? layouts : [anywhere]));
   const { search, draws } = data.shares[index];
   $("#shares").textContent = `Of 100 goals, search finds ${percent(search.found)} by attempt 5, chance ${percent(draws.found)}. `

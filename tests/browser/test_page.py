@@ -141,6 +141,7 @@ def test_tables_sort_and_lines_are_compared(browser: Browser, of_study: Path) ->
     first.locator("thead button").nth(returns - 1).click()
     assert [float(text.split()[0]) for text in column(returns)] == ascending[::-1]
     assert HOSTILE in " ".join(column(1))
+    page.locator("details").nth(0).locator("summary").click()
     page.select_option(".scatter-up", "2")
     settings = page.locator("details").nth(1)
     settings.locator("summary").click()

@@ -305,8 +305,8 @@ function searches(found) {
       if (index === done - 1) ways.append(world.circle(path.at(-1), 5.5, { class: "end" }));
     });
     const [worst, best] = found.interval[at][done];
-    const expects = ` The red one returns ${worst === best ? number(best) : `${number(worst)} to ${number(best)} (90 %)`}; ` +
-      `the task is like one of training with probability ${number(100 * found.familiar[at][done])} %.`;
+    const expects = ` With 90 % probability the latent in the red ring returns ` +
+      `${worst === best ? number(best) : `${number(worst)} to ${number(best)}`}; the task is like one of training with probability ${number(100 * found.familiar[at][done])} %.`;
     const next = done < episodes ? ` Next it tries z = (${found.played[at][done].map((x) => number(x)).join(", ")}).` : "";
     said.textContent = done === 0 ? `Before any episode.${expects}${next}` :
       `Episode ${done} returns ${number(found.returns[at][done - 1])} and ` +
@@ -414,16 +414,16 @@ function scatter(lines) {
     place.replaceChildren(plane.svg);
   }
   draw();
-  return make("div", {}, make("div", { class: "controls" }, make("label", {}, "Across", across), make("label", {}, "Up", up)), place);
+  return make("div", { class: "narrow" },
+    make("div", { class: "controls" }, make("label", {}, "Across", across), make("label", {}, "Up", up)), place);
 }
 
 function comparison(one) {
   const [first, ...others] = one.tables.map((found) =>
     make("div", {}, make("h3", {}, found.title), table(found.headings, found.rows), quiet(found.notes.join(" "))));
-  const pictures = one.charts.map(chart);
-  if (one.scatter.length > 1) pictures.push(scatter(one.scatter));
-  section(one.name, quiet(one.about), first, grid(pictures),
-    details("Episode by episode, and method against method", make("div", {}, ...others)),
+  const more = one.scatter.length > 1 ? [...others, scatter(one.scatter)] : others;
+  section(one.name, quiet(one.about), first, grid(one.charts.map(chart)),
+    details("Episode by episode, and method against method", make("div", {}, ...more)),
     details("Settings of each line; those that differ come first", settings(one.settings)));
 }
 
