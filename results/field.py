@@ -6,7 +6,8 @@
 `field/results.csv.gz` has the return of each seed in each task; `field/lines.csv` what the training
 of each seed took, and what the seeds that are not done would take. A training that several lines
 need is counted in each of them. A seed that is in these files stays there, also if the studies'
-directory lacks it, as long as its job is the same: several machines can each do a part.
+directory lacks it, as long as its job is the same: several machines can each do a part. So do
+families that no study has which is named.
 `field/published.csv` has numbers of others, and limits. The table is `field/table.md`, the figure
 docs/figures/field.png.
 """
@@ -49,6 +50,13 @@ SHOWN = {
 ORACLE, FLOOR = "oracle", "baseline"
 COSTS = ("seeds", "steps (M)", "minutes", "seconds")  # of training; of a meta-iteration
 _PANELS = 4  # in a row
+LEGEND = """\
+Columns are numbers of episodes in a new task before the ones that are judged. ± is half the 95 %
+interval over tasks and seeds; of a published number, the spread that its source gives. Success and
+worst tenth (CVaR of the tasks) are those after 20 episodes, or after the most before. Lines of one
+method share its training, whose steps, minutes with one thread, and seconds of a meta-iteration
+(median) are means over the seeds. -: not played, or more episodes than a trial in training has.
+"""
 
 Row = Mapping[str, str]
 Returns = Float[np.ndarray, "seed task"]
@@ -95,12 +103,19 @@ def collect(studies: Sequence[str], out: Path) -> None:
                             at | {"task": task, "return": y[k], "success": reached[k]}
                             for task, (y, reached) in numbers
                         )
+    anew = {row["family"] for row in lines}
     for path, rows, names in ((LINES, lines, LINE), (RESULTS, results, RESULT)):
+        before = read_rows(path) if path.exists() else []
+        rows += [row for row in before if row["family"] not in anew]
+        order = list(dict.fromkeys(row["family"] for row in (*before, *rows)))
+        rows.sort(key=lambda row: order.index(row["family"]))  # families stay where they were
         write_rows(path, [{name: _short(row.get(name)) for name in names} for row in rows])
 
 
 def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
     """Return the seeds that are in the files, each with its results, by `_address`."""
+    if not LINES.exists():
+        return {}
     results, lines = _by_line(RESULTS), _by_line(LINES)
     return {
         _address(row): (row, [one for one in results.get(name, ()) if one["seed"] == row["seed"]])
@@ -158,7 +173,9 @@ class Entry:
     def costs(self) -> tuple[str, ...]:
         """Seeds, millions of steps, minutes, seconds of a meta-iteration."""
         left = [float(row["hours_left"]) for row in self.seeds if row["hours_left"]]
-        seeds = f"{len(self.done)}" + (f" (others: {max(sum(left), 0.1):.1f} h)" if left else "")
+        seeds = str(len(self.done))
+        if left:
+            seeds += f" of {len(self.seeds)} ({max(sum(left), 0.1):.1f} h to do)"
         numbers = {
             name: np.mean([float(row[name]) for row in self.done if row[name]] or [np.nan])
             for name in ("steps", "training", "iteration")
@@ -203,13 +220,15 @@ def _cells(rows: Sequence[Row], beyond: int) -> Iterator[tuple[int, Cell]]:
 
 def table(family: str, lines: Sequence[Entry]) -> TextTable:
     """Return the table of a family, with limits and the numbers of others."""
-    rows = [_row(one) for one in lines]
+    cells = [cell for one in lines for cell in one.cells.values()]
+    has_success = any(cell.success.any() for cell in cells)  # some families do not define it
+    rows = [_row(one, has_success=has_success) for one in lines]
     notes = {}
     for row in read_rows(PUBLISHED):
         if row["family"] == family:
-            cells = {int(row["episodes"] or 0): row["return"] + row["spread"]}
+            known = {int(row["episodes"] or 0): row["return"] + row["spread"]}
             same = next((one for one in rows if one[0] == row["name"]), None)
-            shown = tuple(cells.get(count, "") for count in EPISODES)
+            shown = tuple(known.get(count, "") for count in EPISODES)
             if same is None:
                 rows.append((row["name"], *shown, *[""] * (2 + len(COSTS))))
             else:
@@ -218,12 +237,14 @@ def table(family: str, lines: Sequence[Entry]) -> TextTable:
             if row["source"]:
                 notes[row["name"]] = f"{row['name']}: {row['source']}"
     headings = ("", *map(str, EPISODES), "success (%)", "worst tenth", *COSTS)
-    tasks = max((cell.returns.shape[1] for one in lines for cell in one.cells.values()), default=0)
-    return TextTable(f"{family}: return after so many episodes in {tasks} tasks", headings,
-                     tuple(rows), tuple(notes.values()))  # fmt: skip
+    tasks = max((cell.returns.shape[1] for cell in cells), default=0)
+    title = (
+        f"{family}: return after so many episodes in {tasks} tasks" if tasks else f"{family}: to do"
+    )
+    return TextTable(title, headings, tuple(rows), tuple(notes.values()))
 
 
-def _row(entry: Entry) -> tuple[str, ...]:
+def _row(entry: Entry, *, has_success: bool) -> tuple[str, ...]:
     unit, last = UNITS["mean_return"], entry.last
     texts = {
         count: unit.text(statistics.bootstrap(statistics.mean, cell.returns), brief=True)
@@ -231,7 +252,7 @@ def _row(entry: Entry) -> tuple[str, ...]:
     }
     few = ["", ""]
     if last is not None:
-        few[0] = UNITS["success_rate"].number(last.success.mean())
+        few[0] = UNITS["success_rate"].number(last.success.mean()) if has_success else ""
         if last.returns.shape[1] >= statistics.FEWEST_TASKS:
             few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
     first, done = entry.seeds[0], entry.done or entry.seeds
@@ -338,7 +359,7 @@ def main(studies: tuple[str, ...] = (), out: Path = HERE.parent) -> None:
         collect(studies, out)
     tables = entries()
     page = to_page([make(*item) for item in tables.items() for make in (table, differences)])
-    write_whole(HERE / "table.md", page.encode())
+    write_whole(HERE / "table.md", f"{LEGEND}\n{page}".encode())
     print(HERE / "table.md")
     draw(tables)
 

@@ -71,8 +71,8 @@ def test_the_bandit_pays_as_often_as_its_arms_say() -> None:
     assert totals.var() == pytest.approx(10 * 0.3 * 0.7, rel=0.15)
 
 
-def test_the_published_policy_is_within_a_seventh_of_the_optimum() -> None:
-    """5 arms, 10 pulls, 20,000 new tasks: the standard error is 0.016."""
+def test_the_published_policy_is_close_to_the_optimum() -> None:
+    """5 arms, 10 pulls, 20,000 new tasks: within 0.15 of 6.66; the standard error is 0.016."""
     policy = benchmark.load_policy(COMMITTED)
     env, tasks = Bandit(), bandit.task_set("test", benchmark.TEST_TASKS)
     mean, error = benchmark.evaluate(policy, benchmark.make_collect(tasks, env))

@@ -35,7 +35,7 @@ from maesn.learners.varibad.policy import BeliefPolicy
 from maesn.learners.varibad.steps import steps_of
 from maesn.numerics import MinibatchDescent
 from maesn.numerics.normalization import ObservationStatistics
-from maesn.policies import GaussianMLP, Recurrent
+from maesn.policies import GaussianMLP, HyperRecurrent
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
@@ -79,7 +79,7 @@ def played(policy: Any) -> tuple[BeliefPolicy, list[Episodes]]:
     return state.networks.policy, collect.played
 
 
-NETWORKS = [GaussianMLP((4,)), Recurrent(hidden_size=3)]
+NETWORKS = [GaussianMLP((4,)), HyperRecurrent(hidden_size=3, readout_sizes=(3,))]
 
 
 @pytest.mark.parametrize(

@@ -89,11 +89,11 @@ def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
     assert (search["seeds"], search["steps (M)"], search["minutes"]) == ("3", "4", "1.0")
     # Beyond the trials that it was trained for, a memory has no number.
     assert [memory[str(count)] != "-" for count in COUNTS] == [True] * 3 + [False] * 4
-    assert memory["seeds"] == "3 (others: 1.5 h)"
+    assert memory["seeds"] == "3 of 4 (1.5 h to do)"
     # Two seeds are too few to be shown.
     assert few["seeds"] == "2"
     assert {few[str(count)] for count in COUNTS} == {"-"}
-    assert undone["seeds"] == "0 (others: 2.2 h)"
+    assert undone["seeds"] == "0 of 1 (2.2 h to do)"
     assert (others["1"], others["20"]) == ("5", "7.8 ±0.6")
     assert "others: another budget" in text
     # Two of the lines have too few seeds: the figure would leave them out.
@@ -127,14 +127,20 @@ def test_what_is_done_stays_where_the_studies_directory_lacks_it(
         {"family": "point", "line": "maesn", "seed": seed, "job": job, "steps": 5}
         for seed, job in (done, (changed[0], "of-other-settings"))
     ]
+    others = {"family": "of another study", "line": "maesn", "seed": "9", "hours_left": "2"}
+    rows.insert(0, others)
     write_rows(field.LINES, [dict.fromkeys(field.LINE, "") | row for row in rows])
     results = [
         {"family": "point", "line": "maesn", "seed": seed, "task": 0, "episodes": 20}
         for seed in (done[0], changed[0])
     ]
-    write_rows(field.RESULTS, [dict.fromkeys(field.RESULT, "1") | row for row in results])
+    results.append(others | {"task": 0})
+    results = [dict.fromkeys(field.RESULT, "1") | row for row in results]
+    write_rows(field.RESULTS, [{name: row[name] for name in field.RESULT} for row in results])
     field.collect([str(file)], tmp_path / "elsewhere")
-    found = {row["seed"]: row for row in field.read_rows(field.LINES) if row["line"] == "maesn"}
+    first, *others_of_point = field.read_rows(field.LINES)
+    assert {name: first[name] for name in others} == others
+    found = {row["seed"]: row for row in others_of_point if row["line"] == "maesn"}
     assert (found["0"]["steps"], found["0"]["hours_left"]) == ("5", "")
     assert all(float(found[seed]["hours_left"]) > 0 for seed in "12")
-    assert [row["seed"] for row in field.read_rows(field.RESULTS)] == ["0"]
+    assert [row["seed"] for row in field.read_rows(field.RESULTS)] == ["0", "9"]

@@ -88,7 +88,7 @@ class RecurrentFastLearner(AbstractFastLearner[TrialState | None]):
         """Trials begin; nothing is random."""
 
     def agents(self, state: TrialState | None, purpose: Purpose = "explore") -> Agents:
-        """To be judged, they do what they always do."""
+        """The same for both purposes; who judges them takes the noise from their actions."""
         return Agents(
             self.policy,
             Nothing(),

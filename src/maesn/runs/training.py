@@ -186,8 +186,9 @@ def describe(progress: Progress) -> str:
     if (kl := progress.find("kl")) is not None:
         rejected = progress.find("accepted") == 0.0
         parts.append("step rejected" if rejected else f"KL {kl:.4f}")
-    if (elbo := progress.find("elbo")) is not None:
-        parts.append(f"ELBO {elbo:.2f}")
+    for label, name in (("ELBO", "elbo"), ("Q loss", "q")):
+        if (value := progress.find(name)) is not None:
+            parts.append(f"{label} {value:.2f}")
     parts.append(f"{progress.steps_per_second:,.0f} steps/s")
     return ", ".join(parts)
 

@@ -166,8 +166,8 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         return (first + iterations * self.batches * self.visited_tasks) * episodes_per_task
 
     def effort(self, steps: int, iterations: int) -> int:
-        # The gradient steps of an iteration take 2 seconds, in which others train on so many steps.
-        return steps + 100_000 * iterations
+        # A gradient step takes 7 ms, in which others train on so many steps.
+        return steps + 350 * self.gradient_steps * iterations
 
     def check_batch(self, episodes_per_task: int) -> None:
         """One device learns, because one holds the replay."""
