@@ -284,9 +284,9 @@ def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     (name,), done = raised.value.failed, raised.value.results
     assert name.startswith("train")
     assert done.tables
-    assert sum("maesn" in name for name in executor.started) == 3
+    assert sum("presets" in name for name in executor.started) == 3
     states = status(study, tmp_path)
-    assert {states[name] for name in states if "maesn" in name and "adapt" in name} == {"waiting"}
+    assert {states[name] for name in states if "presets" in name and "adapt" in name} == {"waiting"}
     assert (done.directory / "results.csv").exists()  # of the others
     Study(spec).run(tmp_path, executor=Watched())
 
