@@ -7,7 +7,7 @@
 of each seed took, and what the seeds that are not done would take. A training that several lines
 need is counted in each of them. A seed that is in these files stays there, also if the studies'
 directory lacks it, as long as its job is the same: several machines can each do a part. So do
-families that no study has which is named.
+the families of studies that are not named.
 `field/published.csv` has numbers of others, and limits. The table is `field/table.md`, the figure
 docs/figures/field.png.
 """

@@ -239,8 +239,10 @@ class Run:
         structure = self.structure()
         if names := checkpoint.names_of(self.learner.replay(structure), structure):
             beside = checkpoint.replay_beside(Path(path))
-            if beside is None or not names <= beside.keys():  # gone, or of an older layout
-                logger.warning("The replay of `%s` is gone: it begins empty.", path)
+            if beside is None or not names <= beside.keys():
+                logger.warning(
+                    "The replay of `%s` is gone or of an older layout: it begins empty.", path
+                )
                 beside = named_leaves(self.untrained_state())
             values |= {name: np.asarray(beside[name]) for name in names}
         state = checkpoint.restore(structure, values, path)
