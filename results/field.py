@@ -56,6 +56,7 @@ interval over tasks and seeds; of a published number, the spread that its source
 worst tenth (CVaR of the tasks) are those after 20 episodes, or after the most before. Lines of one
 method share its training, whose steps, minutes with one thread, and seconds of a meta-iteration
 (median) are means over the seeds. -: not played, or more episodes than a trial in training has.
+`cheetah_vel` does not define success.
 """
 
 Row = Mapping[str, str]
@@ -220,15 +221,13 @@ def _cells(rows: Sequence[Row], beyond: int) -> Iterator[tuple[int, Cell]]:
 
 def table(family: str, lines: Sequence[Entry]) -> TextTable:
     """Return the table of a family, with limits and the numbers of others."""
-    cells = [cell for one in lines for cell in one.cells.values()]
-    has_success = any(cell.success.any() for cell in cells)  # some families do not define it
-    rows = [_row(one, has_success=has_success) for one in lines]
+    rows = [_row(one) for one in lines]
     notes = {}
     for row in read_rows(PUBLISHED):
         if row["family"] == family:
-            known = {int(row["episodes"] or 0): row["return"] + row["spread"]}
+            cells = {int(row["episodes"] or 0): row["return"] + row["spread"]}
             same = next((one for one in rows if one[0] == row["name"]), None)
-            shown = tuple(known.get(count, "") for count in EPISODES)
+            shown = tuple(cells.get(count, "") for count in EPISODES)
             if same is None:
                 rows.append((row["name"], *shown, *[""] * (2 + len(COSTS))))
             else:
@@ -237,14 +236,14 @@ def table(family: str, lines: Sequence[Entry]) -> TextTable:
             if row["source"]:
                 notes[row["name"]] = f"{row['name']}: {row['source']}"
     headings = ("", *map(str, EPISODES), "success (%)", "worst tenth", *COSTS)
-    tasks = max((cell.returns.shape[1] for cell in cells), default=0)
+    tasks = max((cell.returns.shape[1] for one in lines for cell in one.cells.values()), default=0)
     title = (
         f"{family}: return after so many episodes in {tasks} tasks" if tasks else f"{family}: to do"
     )
     return TextTable(title, headings, tuple(rows), tuple(notes.values()))
 
 
-def _row(entry: Entry, *, has_success: bool) -> tuple[str, ...]:
+def _row(entry: Entry) -> tuple[str, ...]:
     unit, last = UNITS["mean_return"], entry.last
     texts = {
         count: unit.text(statistics.bootstrap(statistics.mean, cell.returns), brief=True)
@@ -252,7 +251,7 @@ def _row(entry: Entry, *, has_success: bool) -> tuple[str, ...]:
     }
     few = ["", ""]
     if last is not None:
-        few[0] = UNITS["success_rate"].number(last.success.mean()) if has_success else ""
+        few[0] = UNITS["success_rate"].number(last.success.mean())
         if last.returns.shape[1] >= statistics.FEWEST_TASKS:
             few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
     first, done = entry.seeds[0], entry.done or entry.seeds

@@ -101,7 +101,7 @@ def render(
     if not draws_itself:
         played = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
-    title = f"{run.settings.method} on {env.name}, {asked.reward} reward, {asked.tasks} task {task}"
+    title = f"{run.settings.method} on {env.name}\n{asked.reward} reward, {asked.tasks} task {task}"
     period = np.clip(round(1000 * stride * env.control_period), _QUICKEST, _SLOWEST)
     folder = run.directory / "render" if out is None else Path(out)
     paths = [folder / f"{name}.gif", folder / f"{name}.png"]

@@ -222,7 +222,7 @@ def _settings(
 ) -> tuple[AbstractMetaLearner[Any, Any], RunSettings]:
     spec = study.runs[name]
     preset, usual, world = spec.preset or name, {}, study.world(family)
-    if is_own := ":" in preset:
+    if ":" in preset:
         learner = own_method(preset)
     else:
         learner = learners.recommended(preset, world.family)
@@ -237,7 +237,7 @@ def _settings(
         (path,) = error.args
         known = [*vars(spec), *names, *leaves(fields_to_json(learner))]
         raise ValueError(f"there is no setting `{path}`.{suggestion(path, known)}") from error
-    method = preset if is_own else learners.method_name(learner)
+    method = preset if ":" in preset else learners.method_name(learner)
     return learner, dataclasses.replace(settings, method=method)
 
 
