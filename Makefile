@@ -20,12 +20,13 @@ help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 15
 
 demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks, draw figures and a page
-	@echo "== MAESN learns to explore: 80 meta-iterations on dense reward"
+	@echo "== MAESN learns to explore: 30 meta-iterations on dense reward"
 	@if test -e runs/demo/config.json; then $(BIN)/maesn resume runs/demo; \
-	  else $(BIN)/maesn train maesn --run runs/demo --iterations 80; fi
+	  else $(BIN)/maesn train maesn --run runs/demo --iterations 30; fi
 	@echo "== it adapts to 100 unseen goals on sparse reward: by policy gradient, then by latent search"
-	@$(BIN)/maesn adapt runs/demo
-	@$(BIN)/maesn adapt runs/demo --rule search
+	@$(BIN)/maesn adapt runs/demo --episodes 60 --episodes-per-update 20
+	@$(BIN)/maesn prior runs/demo --draws 100 --episodes 1 --adapted False --searches 0
+	@$(BIN)/maesn adapt runs/demo --rule search --episodes 5
 	@echo "== figures, tables and a page"
 	@$(BIN)/maesn report runs/demo
 
