@@ -19,6 +19,7 @@ from typing import Any
 import tyro
 
 from maesn.learners import PRESETS, AbstractMetaLearner, recommended, recommended_run
+from maesn.runs.checkpoint import REPLAY
 from maesn.runs.config import RunConfig, RunSettings, write_config
 from maesn.runs.run import Run
 from maesn.runs.serialization import TAG, fields_to_json, to_json
@@ -109,7 +110,9 @@ def ship(run: Run, commit: str, target: Path) -> None:
     if target.exists():
         shutil.rmtree(target)
     # Written anew, because a checkpoint states the digest of the configuration beside it.
-    shipped.save_state(checkpoint.state, checkpoint.environment_steps)
+    saved = shipped.save_state(checkpoint.state, checkpoint.environment_steps)
+    for replay in saved.parent.glob(f"{REPLAY}*"):  # only more training would need it
+        replay.unlink()
     if (run.directory / TASKS_FILE).exists():
         shutil.copy(run.directory / TASKS_FILE, target)
     write_config(target, shipped.config)

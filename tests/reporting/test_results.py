@@ -4,7 +4,9 @@ import csv
 import math
 import re
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,12 @@ from maesn.studies.study import Study
 RESULTS = ROOT / "results"
 RUNS = sorted(path.parent for path in RESULTS.rglob("config.json"))
 MOST_BYTES = 8 * 10**6
+LARGE = ("paper", "beyond", "tuning")  # studies that take long to plan and to summarise
+
+
+def sparing(studies: Iterable[str | Path]) -> list[Any]:
+    """Return parameters of a test, of which `make test` leaves out the large ones."""
+    return [pytest.param(x, marks=[pytest.mark.long] * (Path(x).stem in LARGE)) for x in studies]
 
 
 def name_of(path: Path) -> str:
@@ -38,8 +46,8 @@ def test_results_stay_small() -> None:
     assert sum(math.ceil(path.stat().st_size / 4096) * 4096 for path in files) < MOST_BYTES
 
 
-@pytest.mark.parametrize("file", ["paper", "ablation", *map(str, RESULTS.glob("[!f]*.toml"))])
-def test_kept_jobs_are_jobs_of_their_study(file: str) -> None:
+@pytest.mark.parametrize("file", sparing(["paper", "ablation", *RESULTS.glob("[!f]*.toml")]))
+def test_kept_jobs_are_jobs_of_their_study(file: str | Path) -> None:
     """Nothing that is done would be computed again: digests of settings are as they were."""
     study = Study.load(file)
     manifest = RESULTS / study.spec.name / MANIFEST
@@ -47,7 +55,7 @@ def test_kept_jobs_are_jobs_of_their_study(file: str) -> None:
     assert set(kept) <= set(study.execution(RESULTS).jobs)
 
 
-@pytest.mark.parametrize("directory", studies_in(RESULTS), ids=name_of)
+@pytest.mark.parametrize("directory", sparing(studies_in(RESULTS)), ids=name_of)
 def test_summaries_are_what_the_report_writes(directory: Path) -> None:
     comparisons = compare_study(directory).comparisons
     assert comparisons

@@ -18,9 +18,9 @@ from maesn.runtime import Explorer
 from maesn.search.stored import prior_file
 
 POLICIES = policy_names()
-# Of robots: a policy whose actions are choices has no export.
-EXPORTED = [x for x in POLICIES if Run.open(TRAINED / x).env().action_kind == "continuous"]
-LARGEST = 400_000  # bytes
+# A policy whose actions are choices has no export, and neither has a squashed one.
+EXPORTED = [x for x in POLICIES if x not in ("cheetah_vel", "grid_navi")]
+LARGEST = 1_000_000  # bytes
 
 ship = load_script("results/ship.py")
 
@@ -50,22 +50,29 @@ def test_each_is_a_finished_run_and_says_where_it_comes_from(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["wheeled", *(pytest.param(n, marks=pytest.mark.long) for n in POLICIES if n != "wheeled")],
+    ("name", "rule"),
+    [
+        pytest.param(x, rule, marks=[pytest.mark.long] * ((x, rule) != ("wheeled", "search")))
+        for x in POLICIES
+        for rule in ("own", "search")
+    ],
 )
-def test_each_adapts_to_tasks_that_it_has_not_seen(name: str) -> None:
+def test_each_adapts_to_tasks_that_it_has_not_seen(name: str, rule: str) -> None:
     installed, family = files(TRAINED), Run.open(TRAINED / name).family
     tasks = family.task_set("test", 40).tasks
     leaves = tasks if isinstance(tasks, tuple) else (tasks,)
     np.savez("forty.npz", **dict(zip(family.task_names, leaves, strict=True)))
-    by_gradient = ["gradient", "--episodes", "60", "--episodes-per-update", "20"]
-    for options in (by_gradient, ["search", "--episodes", "10"]):
-        words = ["adapt", name, "--tasks", "forty.npz", "--out", f"{options[0]}.csv"]
-        assert cli.run([*words, "--rule", *options]) == 0
-        returns = read_adaptation(Path(f"{options[0]}.csv")).mean_return
-        gain = returns[:, -1] - returns[:, 0]
-        # Better by more than four standard errors of the mean over tasks.
-        assert gain.mean() > 4 * gain.std(ddof=1) / np.sqrt(len(gain))
+    options = ["--episodes", "60", "--episodes-per-update", "20"]
+    if Run.open(TRAINED / name).settings.method == "pearl":
+        options = ["--protocol", "pearl", "--episodes", "2"]
+    if rule == "search":
+        options = ["--rule", "search", "--episodes", "10"]
+    words = ["adapt", name, "--tasks", "forty.npz", "--out", "table.csv"]
+    assert cli.run([*words, *options]) == 0
+    returns = read_adaptation(Path("table.csv")).mean_return
+    gain = returns[:, -1] - returns[:, 0]
+    # Better by more than four standard errors of the mean over tasks.
+    assert gain.mean() > 4 * gain.std(ddof=1) / np.sqrt(len(gain))
     assert files(TRAINED) == installed
 
 

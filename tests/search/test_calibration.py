@@ -24,6 +24,7 @@ def test_levels_are_the_quantiles_that_were_hit() -> None:
     assert _levels([0.0] * 100 + [1.0] * 100, NOMINAL) == pytest.approx((0.002, 0.998))
 
 
+@pytest.mark.long
 def test_intervals_that_are_too_wide_are_narrowed(tmp_path: Path) -> None:
     run = Run.create(tmp_path / "run", tiny_maesn(), tiny_settings())
     few = PriorSettings(draws=30, adapted=False, searches=10)

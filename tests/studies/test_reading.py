@@ -174,7 +174,13 @@ def test_there_is_no_such_study(tmp_path: Path) -> None:
         read_study("papre")
 
 
-@pytest.mark.parametrize("name", sorted(shipped_studies()))
+LARGE = ("field", "paper")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(x, marks=[pytest.mark.long] * (x in LARGE)) for x in sorted(shipped_studies())],
+)
 def test_shipped_studies_can_be_planned(name: str) -> None:
     study = read_study(name)
     assert isinstance(study, StudySpec)

@@ -142,6 +142,7 @@ def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
     assert [name.split("-")[2] for name in other.started] == ["reinforce", "reinforce"]
 
 
+@pytest.mark.long
 def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

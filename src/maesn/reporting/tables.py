@@ -133,11 +133,21 @@ def _by_update(line: Line, title: str) -> TextTable:
             f"± half the {INTERVAL}; brackets hold its ends",
             note_on_judging([line]),
             note_on_training([line]),
-            f"no episode reached the goal in {failed} of {table.num_tasks} tasks: there the "
-            "adaptation had nothing to learn from"
-            if is_blind
-            else "",
+            _failures(failed, table.num_tasks) if is_blind else "",
         ),
+    )
+
+
+def _failures(failed: int, num_tasks: int) -> str:
+    """Say in how many tasks no episode reached the goal: in all of them there may be none."""
+    if failed == num_tasks:
+        return (
+            "no episode reached a goal; if the reward says nothing elsewhere, the adaptation had "
+            "nothing to learn from"
+        )
+    return (
+        f"no episode reached the goal in {failed} of {num_tasks} tasks: there the adaptation had "
+        "nothing to learn from"
     )
 
 

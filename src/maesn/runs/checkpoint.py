@@ -39,6 +39,7 @@ class Checkpoint(NamedTuple):
     state: Any
     iteration: int  # iterations so far
     environment_steps: int  # control steps that were played so far
+    is_whole: bool = True  # with the replay that was kept
 
 
 def named_leaves(tree: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@
 import dataclasses
 import logging
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -229,7 +230,10 @@ class Run:
             old.unlink()
 
     def load(self, path: str | Path) -> Checkpoint:
-        """Read one checkpoint of this run; `RunError` if it belongs to another one."""
+        """Read one checkpoint of this run; `RunError` if it belongs to another one.
+
+        A replay that is gone, or of an older layout, begins empty.
+        """
         values, metadata = checkpoint.read_checkpoint(Path(path))
         if metadata.get("config") != self.config.digest():
             raise RunError(
@@ -237,19 +241,17 @@ class Run:
                 "file."
             )
         structure = self.structure()
-        if names := checkpoint.names_of(self.learner.replay(structure), structure):
-            beside = checkpoint.replay_beside(Path(path))
-            if beside is None or not names <= beside.keys():
-                logger.warning(
-                    "The replay of `%s` is gone or of an older layout: it begins empty.", path
-                )
-                beside = named_leaves(self.untrained_state())
-            values |= {name: np.asarray(beside[name]) for name in names}
+        replay = checkpoint.names_of(self.learner.replay(structure), structure) - values.keys()
+        beside: Mapping[str, Any] = checkpoint.replay_beside(Path(path)) or {}
+        is_whole = replay <= beside.keys()
+        if not is_whole:
+            beside = named_leaves(self.untrained_state())
+        values |= {name: np.asarray(beside[name]) for name in replay}
         state = checkpoint.restore(structure, values, path)
         iteration, steps = self.learner.iteration(state), metadata.get("environment_steps", "")
         if not steps.isdecimal() or not all(np.isfinite(x).all() for x in values.values()):
             raise CheckpointError(f"`{path}` is damaged: a number in it cannot be.")
-        return Checkpoint(state, int(iteration), int(steps))
+        return Checkpoint(state, int(iteration), int(steps), is_whole)
 
     def latest(self) -> Checkpoint:
         """Return the latest checkpoint that is sound, saying so if a later one is not."""

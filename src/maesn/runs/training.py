@@ -64,6 +64,9 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
         if read_config(run.directory).digest() != run.config.digest():
             raise RunError(f"`{run.directory}` was changed since it was opened: open it again.")
         start = run.latest()
+        if not start.is_whole:
+            what = "The replay of `%s` is gone or of an older layout: it begins empty."
+            logger.warning(what, run.directory)
         log = RunLog.begin(run.directory, start.iteration)
         begun = run.config.versions
         if start.iteration and begun != installed_versions(run.config.engine):

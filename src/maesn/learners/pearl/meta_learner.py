@@ -158,8 +158,9 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         """Return all networks: a policy without its critics could not go on learning."""
         return state.networks
 
-    def replay(self, state: PearlState) -> Replay:
-        return state.replay
+    def replay(self, state: PearlState) -> tuple[Optimisers, Replay]:
+        """Return Adam's moments as well, which take twice as much as the networks."""
+        return state.optimisers, state.replay
 
     def planned_episodes(self, episodes_per_task: int, iterations: int) -> int:
         first = self.initial_tasks if iterations else 0
