@@ -187,7 +187,8 @@ def compose(
     panels = figure.subplots(len(played), columns, squeeze=False)
     images = []
     for row, (before, episodes) in zip(panels, played.items(), strict=True):
-        when = f"after learning from {before} episodes" if before else "before adaptation"
+        learned = f"after learning from {before} episode{'s' * (before > 1)}"
+        when = learned if before else "before adaptation"
         row[0].set_title(when, loc="left", fontsize=_TEXT)
         for number, (axes, episode) in enumerate(zip(row, episodes, strict=True), before + 1):
             images.append((axes.imshow(episode.pictures[-1]), episode.pictures))
