@@ -25,6 +25,7 @@ demo: $(RUN_READY) ## Train MAESN on the wheeled robot, adapt it to unseen tasks
 	  else $(BIN)/maesn train maesn --run runs/demo --iterations 30; fi
 	@echo "== it adapts to 100 unseen goals on sparse reward: by policy gradient, then by latent search"
 	@$(BIN)/maesn adapt runs/demo --episodes 60 --episodes-per-update 20
+	@# a smaller prior than the usual one, in a third of the time
 	@$(BIN)/maesn prior runs/demo --draws 100 --episodes 1 --adapted False --searches 0
 	@$(BIN)/maesn adapt runs/demo --rule search --episodes 5
 	@echo "== figures, tables and a page"

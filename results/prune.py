@@ -18,6 +18,7 @@ import tyro
 
 from maesn.reporting.reading import DEPLOY, LATENTS, MEASURES, latents_beside
 from maesn.reporting.sources import MANIFEST, joined_files, studies_in
+from maesn.runs.checkpoint import REPLAY
 from maesn.runs.config import CONFIG
 from maesn.runs.log import METRICS
 from maesn.runs.run import CHECKPOINTS
@@ -78,11 +79,16 @@ def jobs_of(path: Path) -> tuple[set[str], set[str]]:
 
 
 def prune_run(run: Path, needed: bool) -> None:
-    """Keep settings, the first lines of the metrics and, if needed, the last checkpoint."""
+    """Keep settings, the first lines of the metrics and, if needed, the last checkpoint.
+
+    No evaluation needs a replay.
+    """
     kept = {CONFIG, CHECKPOINTS, METRICS, TASKS_FILE}
     for path in run.iterdir():
         if path.name not in kept:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
+    for replay in (run / CHECKPOINTS).glob(f"{REPLAY}*"):
+        replay.unlink()
     checkpoints = sorted((run / CHECKPOINTS).glob("*.safetensors"))
     for checkpoint in checkpoints[: -1 if needed else None]:
         checkpoint.unlink()

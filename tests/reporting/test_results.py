@@ -29,7 +29,10 @@ LARGE = ("paper", "beyond", "tuning")  # studies that take long to plan and to s
 
 def sparing(studies: Iterable[str | Path]) -> list[Any]:
     """Return parameters of a test, of which `make test` leaves out the large ones."""
-    return [pytest.param(x, marks=[pytest.mark.long] * (Path(x).stem in LARGE)) for x in studies]
+    return [
+        pytest.param(x, id=Path(x).stem, marks=[pytest.mark.long] * (Path(x).stem in LARGE))
+        for x in studies
+    ]
 
 
 def name_of(path: Path) -> str:
@@ -55,7 +58,7 @@ def test_kept_jobs_are_jobs_of_their_study(file: str | Path) -> None:
     assert set(kept) <= set(study.execution(RESULTS).jobs)
 
 
-@pytest.mark.parametrize("directory", sparing(studies_in(RESULTS)), ids=name_of)
+@pytest.mark.parametrize("directory", sparing(studies_in(RESULTS)))
 def test_summaries_are_what_the_report_writes(directory: Path) -> None:
     comparisons = compare_study(directory).comparisons
     assert comparisons

@@ -122,7 +122,7 @@ def test_tasks_without_a_success_had_nothing_to_learn_from(file: Path) -> None:
     assert said in shown(summarised(file, table, deployed))
     assert "No episode" not in shown(summarised(file.with_name("test-dense.csv"), table))
     none = replace(table, success_rate=np.zeros_like(rates))  # or the family has no goals
-    assert "No episode reached a goal;" in shown(summarised(file, none))
+    assert "No episode reached a goal:" in shown(summarised(file, none))
 
 
 def test_zero_has_no_minus() -> None:

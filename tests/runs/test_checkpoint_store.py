@@ -35,9 +35,9 @@ def test_the_latest_checkpoint_is_that_of_the_highest_iteration(tmp_path: Path) 
         "iteration-000020",
         "iteration-1000000",
     ]
-    latest, iteration, steps = run.latest()
-    assert (iteration, steps) == (1000000, 100000000)
-    np.testing.assert_array_equal(latest.position, 1e6)
+    latest = run.latest()
+    assert (latest.iteration, latest.environment_steps) == (1000000, 100000000)
+    np.testing.assert_array_equal(latest.state.position, 1e6)
 
 
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scripts import load_script
 from small_runs import tiny_maesn
 
 from maesn import cli
@@ -126,6 +127,23 @@ def test_the_newest_checkpoint_alone_holds_the_replay(tmp_path: Path) -> None:
     assert not before.is_whole
     assert before.iteration == 2
     assert not np.any(before.state.past)
+
+
+def test_a_damaged_replay_costs_no_policy(tmp_path: Path) -> None:
+    run = train(tmp_path / "run")
+    (replay,) = run.directory.glob("checkpoints/replay-*")
+    replay.write_bytes(replay.read_bytes()[:-1])
+    latest = run.latest()
+    assert (latest.iteration, latest.is_whole) == (3, False)
+    assert not np.any(latest.state.past)
+
+
+def test_pruning_keeps_the_last_checkpoint_and_no_replay(tmp_path: Path) -> None:
+    run = train(tmp_path / "run")
+    load_script("results/prune.py").prune_run(run.directory, needed=True)
+    assert [path.name for path in run.directory.glob("checkpoints/*")] == [
+        "iteration-000003.safetensors"
+    ]
 
 
 def test_a_replay_that_is_too_large_is_refused(tmp_path: Path) -> None:

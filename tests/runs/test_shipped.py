@@ -18,8 +18,12 @@ from maesn.runtime import Explorer
 from maesn.search.stored import prior_file
 
 POLICIES = policy_names()
-# A policy whose actions are choices has no export, and neither has a squashed one.
-EXPORTED = [x for x in POLICIES if x not in ("cheetah_vel", "grid_navi")]
+# A policy whose actions are choices has no export, and neither has that of PEARL.
+EXPORTED = [
+    name
+    for name, run in zip(POLICIES, [Run.open(TRAINED / x) for x in POLICIES], strict=True)
+    if run.env().action_kind == "continuous" and run.settings.method != "pearl"
+]
 LARGEST = 1_000_000  # bytes
 
 ship = load_script("results/ship.py")
@@ -135,3 +139,13 @@ def test_shipping_takes_the_last_checkpoint_and_leaves_a_run(
     shipped = Run.open(folder / "shipped")
     assert [path.name for path in shipped.checkpoints()] == ["iteration-000006.safetensors"]
     np.testing.assert_array_equal(shipped.latest_state().rows, run.latest_state().rows)
+
+
+def test_shipping_leaves_out_the_replay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ship, "PRESETS", {"Drift": Drift})
+    monkeypatch.setattr(Drift, "replay", lambda _, state: state.rows)
+    run = finish(create(folder / "run"))
+    ship.ship(run, "0123abc", folder / "shipped")
+    assert len(list(folder.glob("shipped/checkpoints/*"))) == 1
+    shipped = Run.open(folder / "shipped").latest_state()
+    np.testing.assert_array_equal(shipped.position, run.latest_state().position)

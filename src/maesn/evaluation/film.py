@@ -24,6 +24,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner
 from maesn.physics import View
 from maesn.reporting import style
+from maesn.reporting.reading import count_of
 from maesn.settings import check_number
 from maesn.storage import refusals, write_whole
 from maesn.worlds import AbstractWorld, Scene, arena, places
@@ -187,8 +188,7 @@ def compose(
     panels = figure.subplots(len(played), columns, squeeze=False)
     images = []
     for row, (before, episodes) in zip(panels, played.items(), strict=True):
-        learned = f"after learning from {before} episode{'s' * (before > 1)}"
-        when = learned if before else "before adaptation"
+        when = f"after learning from {count_of(before)}" if before else "before adaptation"
         row[0].set_title(when, loc="left", fontsize=_TEXT)
         for number, (axes, episode) in enumerate(zip(row, episodes, strict=True), before + 1):
             images.append((axes.imshow(episode.pictures[-1]), episode.pictures))

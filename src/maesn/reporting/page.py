@@ -18,7 +18,7 @@ from maesn.reporting.charts import (
 )
 from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.figures.curves import plot_charts
-from maesn.reporting.reading import latents_beside, usual_table
+from maesn.reporting.reading import count_of, latents_beside, usual_table
 from maesn.reporting.runs import RecordedRun, read_recorded
 from maesn.reporting.sources import Compared, Series
 from maesn.reporting.style import ONE_COLUMN, publication_style, rendered
@@ -78,7 +78,7 @@ def _headline(line: Line, comparison: Comparison) -> Document:
         [UNITS[name].number(line.column(at, name).mean()) for at in (0, -1)]
         for name in ("success_rate", "mean_return")
     )
-    learned = f"after {line.table.episodes[-1]} episodes in the new task"
+    learned = f"after {count_of(line.table.episodes[-1])} in the new task"
     return {
         "number": f"{after} %",
         "name": f"{line.label}, {comparison.name}",

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -84,8 +84,12 @@ def prior_reach(
     if solved.all():
         return ""
     share = (success_rate[~solved] > 0).mean()
-    noun = "episode" if episodes == 1 else "episodes"
-    return f"{share:.0%} of the goals in {episodes} {noun}"
+    return f"{share:.0%} of the goals in {count_of(episodes)}"
+
+
+def count_of(episodes: SupportsInt) -> str:
+    """Return a number of episodes in words."""
+    return "1 episode" if int(episodes) == 1 else f"{episodes} episodes"
 
 
 @dataclass(frozen=True)

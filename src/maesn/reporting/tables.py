@@ -13,7 +13,7 @@ from rich.text import Text
 
 from maesn.reporting import statistics
 from maesn.reporting.comparison import Comparison, Line, note_on_judging, note_on_training
-from maesn.reporting.reading import AdaptationTable, read_adaptation, stack_seeds
+from maesn.reporting.reading import AdaptationTable, count_of, read_adaptation, stack_seeds
 from maesn.reporting.statistics import INTERVAL, Interval, bootstrap, curve
 from maesn.reporting.style import MethodStyle
 from maesn.settings import leaves
@@ -142,7 +142,7 @@ def _failures(failed: int, num_tasks: int) -> str:
     """Say in how many tasks no episode reached the goal: in all of them there may be none."""
     if failed == num_tasks:
         return (
-            "no episode reached a goal; if the reward says nothing elsewhere, the adaptation had "
+            "no episode reached a goal: if the reward is the same everywhere else, there was "
             "nothing to learn from"
         )
     return (
@@ -158,7 +158,7 @@ def _end_in_words(line: Line) -> str:
     found = (
         f"{UNITS[name].heading} {UNITS[name].text(x)}" for name, x in zip(names, means, strict=True)
     )
-    done = f"after {line.table.episodes[-1]} episodes in each of {line.table.num_tasks} tasks"
+    done = f"after {count_of(line.table.episodes[-1])} in each of {line.table.num_tasks} tasks"
     text = f"{done}: {', '.join(found)}"
     if line.num_tasks >= statistics.FEWEST_TASKS:
         worst = UNITS["mean_return"].text(bootstrap(statistics.cvar, line.column(-1)))

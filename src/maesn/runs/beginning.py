@@ -19,6 +19,12 @@ def drawn_state(learner: AbstractMetaLearner[Any, Any], key: Key, problem: Probl
     return learner.init(key, problem)
 
 
+@eqx.filter_jit  # which leaves out the networks
+def drawn_replay(learner: AbstractMetaLearner[Any, Any], key: Key, problem: Problem) -> Any:
+    """Return the replay before any training."""
+    return learner.replay(learner.init(key, problem))
+
+
 def with_weights_of(
     other: Any, fresh: Any, larger: Any, learner: AbstractMetaLearner[Any, Any], source: Any
 ) -> Any:
@@ -40,5 +46,5 @@ def check_replay(learner: AbstractMetaLearner[Any, Any], state: Any, method: str
     if megabytes > LARGEST_REPLAY:
         raise RunError(
             f"the replay of `{method}` takes {megabytes:.0f} MB; at most {LARGEST_REPLAY} MB are "
-            "kept: let it hold fewer episodes."
+            "kept: let it hold fewer episodes, or train smaller networks."
         )

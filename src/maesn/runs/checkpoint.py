@@ -39,7 +39,7 @@ class Checkpoint(NamedTuple):
     state: Any
     iteration: int  # iterations so far
     environment_steps: int  # control steps that were played so far
-    is_whole: bool = True  # with the replay that was kept
+    is_whole: bool = True  # False: its replay was not found, and begins empty
 
 
 def named_leaves(tree: Any) -> dict[str, Any]:
@@ -102,10 +102,12 @@ def save_state(path: Path, state: Any, replay: Any, metadata: Mapping[str, str])
     return path
 
 
-def replay_beside(path: Path) -> dict[str, np.ndarray] | None:
-    """Return the replay that was written with a checkpoint, by name; None if it is gone."""
-    file = _replay_file(path)
-    return read_checkpoint(file)[0] if file.exists() else None
+def replay_beside(path: Path) -> dict[str, np.ndarray]:
+    """Return the replay that was written with a checkpoint, by name; none if gone or damaged."""
+    try:
+        return read_checkpoint(_replay_file(path))[0]
+    except CheckpointError:
+        return {}
 
 
 def _replay_file(path: Path) -> Path:

@@ -20,7 +20,7 @@ from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebu
 from maesn.envs.sources import find_tasks, imported, resolve_family, save_tasks, warn_of_known_tests
 from maesn.learners import AbstractMetaLearner, Problem, method_name
 from maesn.runs import checkpoint, sources
-from maesn.runs.beginning import check_replay, drawn_state, with_weights_of
+from maesn.runs.beginning import check_replay, drawn_replay, drawn_state, with_weights_of
 from maesn.runs.checkpoint import ITERATION, Checkpoint, CheckpointError, named_leaves
 from maesn.runs.config import (
     CONFIG,
@@ -232,7 +232,7 @@ class Run:
     def load(self, path: str | Path) -> Checkpoint:
         """Read one checkpoint of this run; `RunError` if it belongs to another one.
 
-        A replay that is gone, or of an older layout, begins empty.
+        A replay that is gone, damaged or of an older layout begins empty, as `is_whole` says.
         """
         values, metadata = checkpoint.read_checkpoint(Path(path))
         if metadata.get("config") != self.config.digest():
@@ -242,10 +242,9 @@ class Run:
             )
         structure = self.structure()
         replay = checkpoint.names_of(self.learner.replay(structure), structure) - values.keys()
-        beside: Mapping[str, Any] = checkpoint.replay_beside(Path(path)) or {}
-        is_whole = replay <= beside.keys()
-        if not is_whole:
-            beside = named_leaves(self.untrained_state())
+        beside: Mapping[str, Any] = checkpoint.replay_beside(Path(path)) if replay else {}
+        if not (is_whole := replay <= beside.keys()):
+            beside = self._empty_replay(structure)
         values |= {name: np.asarray(beside[name]) for name in replay}
         state = checkpoint.restore(structure, values, path)
         iteration, steps = self.learner.iteration(state), metadata.get("environment_steps", "")
@@ -276,6 +275,14 @@ class Run:
                 f"`{init_from}` needs a module of your own, which must be imported before: train "
                 "from Python, or import it in the module of your method or family."
             ) from error
+
+    def _empty_replay(self, structure: Any) -> dict[str, Any]:
+        """Return by name what the replay is before training; `structure` is that of a state."""
+        names = {id(leaf): name for name, leaf in named_leaves(structure).items()}
+        held = jax.tree.leaves(self.learner.replay(structure))
+        with refusals():
+            drawn = jax.tree.leaves(drawn_replay(*self._drawn_from()))
+        return {names[id(leaf)]: x for leaf, x in zip(held, drawn, strict=True)}
 
     def _drawn_from(self, more_tasks: int = 0) -> tuple[Any, ...]:
         """Return what the state before training is drawn from."""

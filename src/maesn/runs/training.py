@@ -65,8 +65,8 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
             raise RunError(f"`{run.directory}` was changed since it was opened: open it again.")
         start = run.latest()
         if not start.is_whole:
-            what = "The replay of `%s` is gone or of an older layout: it begins empty."
-            logger.warning(what, run.directory)
+            what = "is gone, damaged or of an older layout: training begins with an empty one."
+            logger.warning("The replay of `%s` %s", run.directory, what)
         log = RunLog.begin(run.directory, start.iteration)
         begun = run.config.versions
         if start.iteration and begun != installed_versions(run.config.engine):

@@ -25,7 +25,7 @@ from maesn.numerics import DiagonalGaussian, if_finite
 from maesn.numerics.mesh import refuse_sharing
 from maesn.settings import check_choice, check_least
 
-# Bytes that the replay of all tasks takes at most. The newest checkpoint holds it.
+# Bytes that the replay of all tasks takes at most, in a file beside the newest checkpoint.
 MOST_REPLAY_BYTES = 150_000_000
 
 
