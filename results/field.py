@@ -39,6 +39,8 @@ LINE += ("steps", "training", "iteration", "hours_left", "job")  # seconds, seco
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
 FEWEST_SEEDS = 3  # of a line that is shown: one seed says little
+# Lines whose rule has a name that says less.
+LABELS = {"maesn-random": "MAESN (random latents)"}
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
 SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.
@@ -79,8 +81,8 @@ def collect(studies: Sequence[str], out: Path) -> None:
         for planned, (group, of) in product(study.comparisons, groups):
             found = {line["name"]: line for line in worlds.get(planned.name, {}).get(group, ())}
             for line in planned.lines[group]:
-                about = {"family": planned.name, "line": line.name, "label": line.label}
-                about |= {"kind": of}
+                label = LABELS.get(line.name, line.label)
+                about = {"family": planned.name, "line": line.name, "label": label, "kind": of}
                 about |= {"tasks": line.asked.tasks, "protocol": line.asked.protocol or ""}
                 about["trained_for"] = line.trial_episodes
                 done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
