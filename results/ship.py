@@ -5,10 +5,9 @@
 
 writes `src/maesn/trained/NAME`: the run's last checkpoint without a replay, its `config.json` with
 where the policy comes from as an entry `provenance`, and its prior for the rule `search`. NAME is
-the family, and
-behind it the variant if it is not the usual one: `maesn adapt sparse_point-varibad` then adapts it
-on every installation. Of a study it ships one run for each family, of the first seed: no seed is
-chosen by what it reaches.
+the family, and behind it the variant if it is not the usual one: `maesn adapt sparse_point-varibad`
+then adapts it on every installation. Of a study it ships one run for each family, of the first
+seed: no seed is chosen by what it reaches.
 """
 
 import dataclasses

@@ -65,8 +65,10 @@ def train(run: Run, iterations: int | None = None, keep: int = KEEP) -> Generato
             raise RunError(f"`{run.directory}` was changed since it was opened: open it again.")
         start = run.latest()
         if not start.is_whole:
-            what = "is gone, damaged or of an older layout: training begins with an empty one."
-            logger.warning("The replay of `%s` %s", run.directory, what)
+            logger.warning(
+                "The replay of `%s` is gone, damaged or of an older layout: it begins empty.",
+                run.directory,
+            )
         log = RunLog.begin(run.directory, start.iteration)
         begun = run.config.versions
         if start.iteration and begun != installed_versions(run.config.engine):
