@@ -22,9 +22,9 @@ from maesn.learners import PRESETS, AbstractMetaLearner, recommended, recommende
 from maesn.runs.checkpoint import REPLAY
 from maesn.runs.config import RunConfig, RunSettings, write_config
 from maesn.runs.run import Run
-from maesn.runs.serialization import TAG, fields_to_json, to_json
 from maesn.runs.sources import TASKS_FILE, TRAINED
 from maesn.search.stored import run_prior
+from maesn.serialization import TAG, fields_to_json, to_json
 from maesn.settings import leaves
 from maesn.studies.members import RUN
 from maesn.studies.study import JOBS, Study

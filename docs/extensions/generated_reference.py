@@ -18,7 +18,7 @@ import maesn
 from maesn import cli
 from maesn.envs import FAMILIES
 from maesn.learners import PRESETS, recommended
-from maesn.runs.serialization import TAG, fields_to_json
+from maesn.serialization import TAG, fields_to_json
 from maesn.settings import leaves
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import safetensors.numpy
 
 from maesn.runs import checkpoint
 from maesn.runs.checkpoint import CHECKSUM
-from maesn.runs.serialization import digest_of_document
+from maesn.serialization import digest_of_document
 
 DEEP = 10**5
 

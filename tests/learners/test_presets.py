@@ -23,8 +23,8 @@ from maesn.learners.gradient.fast_learner import GradientFastState
 from maesn.learners.gradient.info import GradientInfo
 from maesn.learners.gradient.meta_learner import GradientState
 from maesn.learners.gradient.outer import TrustRegionOuterStep
-from maesn.learners.recommended import with_setting
 from maesn.policies import GaussianMLP
+from maesn.serialization import replaced
 
 TASKS, META_BATCH, STEPS = 7, 3, 4
 # A linear policy, because it compiles faster.
@@ -185,7 +185,7 @@ def test_latents_that_were_not_played_stay(preset: str) -> None:
 
 def test_the_stage_of_theta_changes_nothing_at_once_and_then_learns() -> None:
     waiting = PRESETS["maesn_theta"](**SMALL)
-    joining = with_setting(waiting, "adaptation.policy.first_iteration", 1)
+    joining = replaced(waiting, {"adaptation.policy.first_iteration": 1})
     collect, states = AnalyticCollect(TASKS), []
     state = waiting.init(jax.random.key(0), Problem(OBSERVATION, ACTION, TASKS))
     state, _ = waiting.step(jax.random.key(0), state, collect)

@@ -20,7 +20,7 @@ from maesn.learners.gradient.meta_learner import GradientState
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.runs.checkpoint import read_checkpoint
 from maesn.runs.export import exported_policy
-from maesn.runs.serialization import from_json, to_json
+from maesn.serialization import from_json, to_json
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 

@@ -15,7 +15,7 @@ from small_runs import create_tiny, tiny_maesn, tiny_settings
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES, Point, Reward, TaskFamily, Wheeled
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest_of_document
+from maesn.serialization import digest_of_document
 from maesn.storage import RunError
 from maesn.worlds import check_env_contract
 

@@ -181,7 +181,7 @@ def test_the_weights_are_the_identity_of_a_run(tmp_path: Path) -> None:
 
 def test_a_file_cannot_name_what_is_no_setting(tmp_path: Path) -> None:
     from maesn.learners import AbstractMetaLearner
-    from maesn.runs.serialization import from_json, to_json
+    from maesn.serialization import from_json, to_json
 
     document: dict[str, Any] = to_json(train(tmp_path / "run").learner)
     for tag in ("walk:WalkState", "os:system", "walk:not_a_method", "walk:Stride", "Walk"):

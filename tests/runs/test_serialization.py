@@ -15,7 +15,7 @@ from maesn.learners.policy_steps import ProximalStep
 from maesn.numerics.minibatch_descent import MinibatchDescent
 from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AbstractPolicySettings, GaussianMLP, HyperRecurrent
-from maesn.runs.serialization import digest_of_document, from_json, replaced, to_json
+from maesn.serialization import digest_of_document, from_json, replaced, to_json
 
 OTHERS = {
     "sizes": maesn(policy=GaussianMLP(hidden_sizes=(), initial_std=0.5)),

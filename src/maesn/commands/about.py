@@ -18,8 +18,8 @@ from maesn.rules import KNOWN, paths_of
 from maesn.runs.config import installed_versions, read_config
 from maesn.runs.process import cache_directory
 from maesn.runs.run import Run
-from maesn.runs.serialization import fields_to_json
 from maesn.runs.sources import TRAINED, policy_names
+from maesn.serialization import fields_to_json
 from maesn.settings import leaves
 from maesn.storage import RunError, check_writable
 from maesn.worlds.budget import num_cpus

@@ -11,7 +11,7 @@ from maesn.evaluation.arguments import AnyRule, AnyWrappers
 from maesn.evaluation.protocols import PROTOCOLS, ProtocolName, check_protocol, settings_by
 from maesn.learners import AbstractFastLearner
 from maesn.rules import AbstractRule, AbstractWrapper, Budget, Trained, written_out
-from maesn.runs.serialization import digest_of_document
+from maesn.serialization import digest_of_document
 from maesn.settings import check_choice, check_numbers
 from maesn.storage import RunError, refusals
 

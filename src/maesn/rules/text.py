@@ -9,7 +9,7 @@ from maesn.rules.base import AbstractRule, AbstractWrapper
 from maesn.rules.prescribed import GradientRule, NoAdaptation
 from maesn.rules.search import SearchRule, StationaryRule
 from maesn.rules.wrappers import ThenReinforce, ThenTrpo, VimeBonus
-from maesn.runs.serialization import TAG, fields_to_json, replaced, values_of_words
+from maesn.serialization import TAG, fields_to_json, replaced, values_of_words
 from maesn.settings import leaves
 from maesn.storage import RunError, refusals
 

@@ -24,7 +24,7 @@ from maesn.envs import (
     is_own,
 )
 from maesn.learners import AbstractMetaLearner
-from maesn.runs.serialization import (
+from maesn.serialization import (
     UnknownTypeError,
     digest_of_document,
     fields_from_json,

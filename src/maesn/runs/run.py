@@ -32,7 +32,7 @@ from maesn.runs.config import (
     write_config,
 )
 from maesn.runs.log import METRICS
-from maesn.runs.serialization import digest_of_document, own_type, to_json
+from maesn.serialization import digest_of_document, own_type, to_json
 from maesn.storage import RunError, refusals
 from maesn.worlds import AbstractWorld, check_env_contract, check_policy, make_world
 

@@ -22,9 +22,9 @@ from maesn.policies import USUAL
 from maesn.rules import Trained, written_out
 from maesn.runs.config import RunSettings, make_env, new_config
 from maesn.runs.run import Run
-from maesn.runs.serialization import digest_of_document, fields_to_json, own_type, replaced
 from maesn.runs.sources import own_method
 from maesn.search import latent_of
+from maesn.serialization import digest_of_document, fields_to_json, own_type, replaced
 from maesn.settings import in_files, leaves, suggestion
 from maesn.storage import refusals
 from maesn.studies.spec import Place, ScratchSpec, StudySpec, is_for

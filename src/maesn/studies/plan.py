@@ -13,8 +13,8 @@ from maesn.envs import AnyEnv, TaskSet, describe_env, split_variant
 from maesn.envs.sources import find_tasks
 from maesn.evaluation.evaluation import TASKS_AT_ONCE, Evaluation
 from maesn.evaluation.exploration import RECORDED_EPISODES
-from maesn.runs.serialization import digest_of_document
 from maesn.search.prior import PriorSettings
+from maesn.serialization import digest_of_document
 from maesn.settings import in_files
 from maesn.storage import RunError
 from maesn.studies.jobs import Job, adapt_member, make_prior, record_run, train_run

@@ -12,7 +12,7 @@ from maesn import learners
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.protocols import settings_by
 from maesn.rules import KNOWN, from_text
-from maesn.runs.serialization import decode
+from maesn.serialization import decode
 from maesn.storage import RunError, explained
 from maesn.studies.spec import EvaluationSpec, Place, RunSpec, StudySpec, is_for
 
