@@ -8,37 +8,39 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, Suppress, arg
 
-from maesn.envs import RewardKind, TaskFamily
+from maesn.envs import RewardKind, TaskFamily, is_own
+from maesn.envs.sources import resolve_family
 from maesn.evaluation import arguments, running
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_belief, record_exploration, record_explorer
 from maesn.evaluation.exporting import export_run
-from maesn.learners import AbstractMetaLearner
+from maesn.learners import AbstractMetaLearner, method_name
 from maesn.numerics.devices import request_devices, sharing
 from maesn.reporting.page import page_of, write_page
 from maesn.reporting.reading import usual_table
 from maesn.reporting.report import Reported, write_report
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import Compared, compare_runs, compare_study, studies_in
-from maesn.runs.config import RunSettings
+from maesn.runs.config import RunSettings, make_env
 from maesn.runs.export import Stated
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import played_live, run_prior
+from maesn.settings import in_files
 from maesn.storage import RunError, check_writable
 
 
 def train(
-    learner: AbstractMetaLearner[Any, Any],
-    settings: RunSettings,
-    directory: str | Path,
+    learner: Annotated[AbstractMetaLearner[Any, Any], arg(name="")],
+    settings: Annotated[RunSettings, arg(name="")],
+    directory: Annotated[arguments.OptionalPath, arg(name="run")] = None,
     *,
-    init_from: str | Path | None = None,
-    family: TaskFamily | None = None,
+    init_from: arguments.OptionalPath = None,
+    family: Annotated[TaskFamily | None, Suppress, arg(name="own-family")] = None,
     keep: int = KEEP,
     devices: int | None = None,
 ) -> Run:
@@ -47,20 +49,29 @@ def train(
     Args:
         learner: the method and its settings; see `maesn.PRESETS`.
         settings: of the run.
-        directory: of the run, which is made; one that holds a run already is refused.
-        init_from: directory of a run, or name of a policy that comes with the library, whose
-            weights to start from; what belongs to single tasks, such as latents, begins afresh.
-        family: a family of your own; None for the one that `settings.family` names.
-        keep: the latest checkpoints that stay, beside the first; 0 for all.
-        devices: devices that share the tasks of a meta-batch; on a CPU, devices are threads. None:
-            one; but for a method whose inner update moves the policy's weights, the largest number
-            up to that of the cores which divides the tasks.
+        directory: Directory of the new run; it must not hold a run yet. None:
+            runs/METHOD-FAMILY-SEED.
+        init_from: Run whose weights training starts from: its directory, or the name of a policy
+            that comes with the library. What belongs to single tasks, such as latents, begins
+            afresh.
+        family: A family of your own; None for the one that `settings.family` names.
+        keep: Number of latest checkpoints to keep, beside the first. 0: keep all.
+        devices: Number of devices that share the tasks of a meta-batch. On a CPU, devices are
+            threads. None: one; but for a method whose inner update moves the policy's weights, the
+            largest number up to that of the cores which divides the tasks.
 
     Raises:
         RunError: a setting or the directory cannot be used.
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
     request_devices(devices)
+    # Actions are choices in some families: nobody should have to say so.
+    env = make_env(family or resolve_family(settings.family), settings)
+    learner = learner.for_actions(env.action_kind)
+    if directory is None:
+        named = (settings.method or method_name(learner), settings.family)
+        words = (in_files(name.rpartition(":")[2] if is_own(name) else name) for name in named)
+        directory = Path("runs") / "-".join([*words, str(settings.seed)])
     with sharing(devices, learner.tasks_for_cores):
         run = Run.create(directory, learner, settings, family=family, init_from=init_from)
         train_live(run, keep=keep)

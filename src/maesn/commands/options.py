@@ -29,12 +29,12 @@ tyro._strings.remove_single_line_breaks = _one_line_paragraphs  # noqa: SLF001
 
 
 def command(
-    function: Callable[..., Any], show: Callable[[Any], None] = lambda _: None
+    function: Callable[..., Any], show: Callable[[Any], None] = lambda _: None, **defaults: Any
 ) -> Callable[[list[str]], None]:
     """Make a command of a function, and show what it returns.
 
-    Its parameters are the options, its docstring is the help. `--protocol` decides the defaults of
-    an evaluation.
+    Its parameters are the options, its docstring is the help. They have other defaults where these
+    are given; `--protocol` decides those of an evaluation.
     """
 
     @functools.wraps(function)
@@ -44,12 +44,22 @@ def command(
     del bound.__wrapped__  # tyro would read its docstring
     bound.__doc__ = re.sub(r"\n {5,}", " ", inspect.getdoc(function) or "")  # each argument a line
     signature = inspect.signature(function)
-    named = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    named = [
+        one.replace(default=defaults.get(one.name, one.default))
+        for one in signature.parameters.values()
+        if one.kind is not one.VAR_KEYWORD
+    ]
 
     def main(arguments: list[str]) -> None:
         suited = [_by_protocol(one, arguments) for one in named]
         bound.__signature__ = signature.replace(parameters=suited)  # type: ignore[attr-defined]
-        run = parse(bound, function.__name__, arguments)
+        with refusals():  # of a setting that cannot be; tyro reports those of nested ones
+            run = tyro.cli(
+                bound,
+                prog=f"maesn {function.__name__}",
+                args=arguments,
+                config=_CONFIGURATION,
+            )
         enable_compilation_cache()
         show(run())
 
@@ -70,11 +80,3 @@ def read_first(arguments: list[str], *names: str) -> tuple[argparse.Namespace, l
     for name in names:
         parser.add_argument(f"--{name}", nargs="?", const="")
     return parser.parse_known_args(arguments)
-
-
-def parse(kind: Any, name: str, arguments: list[str], default: Any = tyro.MISSING_NONPROP) -> Any:
-    """Build the dataclass `kind`, or call it, with a command's options; exit with 2 if wrong."""
-    with refusals():  # of a setting that cannot be; tyro reports those of nested ones
-        return tyro.cli(
-            kind, prog=f"maesn {name}", args=arguments, default=default, config=_CONFIGURATION
-        )
