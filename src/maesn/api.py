@@ -15,7 +15,7 @@ from maesn.envs.sources import resolve_family
 from maesn.evaluation import arguments, running
 from maesn.evaluation.evaluation import USUAL, AnyEvaluation
 from maesn.evaluation.exploration import record_belief, record_exploration, record_explorer
-from maesn.evaluation.exporting import export_run
+from maesn.evaluation.exporting import Stated, export_run
 from maesn.learners import AbstractMetaLearner, method_name
 from maesn.numerics.devices import request_devices, sharing
 from maesn.reporting.page import page_of, write_page
@@ -24,7 +24,6 @@ from maesn.reporting.report import Reported, write_report
 from maesn.reporting.runs import EXPLORATION
 from maesn.reporting.sources import Compared, compare_runs, compare_study, studies_in
 from maesn.runs.config import RunSettings, make_env
-from maesn.runs.export import Stated
 from maesn.runs.run import Run
 from maesn.runs.training import KEEP, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR

@@ -13,13 +13,13 @@ from playing import keys
 from small_runs import create, finish, metrics, reopened, tensors, tiny_maesn
 
 from maesn.envs import point
+from maesn.evaluation.exporting import exported_policy
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractMetaLearner, Problem
 from maesn.learners.gradient.meta_learner import GradientState
 from maesn.numerics.normalization import ObservationStatistics, no_observations
 from maesn.runs.checkpoint import read_checkpoint
-from maesn.runs.export import exported_policy
 from maesn.serialization import from_json, to_json
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector

@@ -15,10 +15,10 @@ import numpy as np
 from maesn import maesn as maesn_preset
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point
+from maesn.evaluation.exporting import Stated, exported_policy, write_policy
 from maesn.learners import Problem
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.policies import GaussianMLP
-from maesn.runs.export import Stated, exported_policy, write_policy
 from maesn.runtime import Explorer
 from maesn.runtime.record import encoded
 from maesn.runtime.storage import Snapshot

@@ -15,8 +15,8 @@ from strangers import Arm, Skip
 from maesn.axes import Readings
 from maesn.envs import FAMILIES, Ant, AnyEnv, BlockPush, Wheeled, ant, blockpush
 from maesn.envs.foreign import gymnasium_family
+from maesn.evaluation.exporting import Stated, exported_policy
 from maesn.physics import NativeSimulator
-from maesn.runs.export import Stated, exported_policy
 from maesn.runs.probing import probe_sensors
 from maesn.runtime import Explorer
 from maesn.runtime.table import facts

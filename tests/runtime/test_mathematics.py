@@ -8,8 +8,8 @@ import scipy.stats
 from runtime.robot import fast_learner
 
 from maesn.envs import Point
+from maesn.evaluation.exporting import exported_policy
 from maesn.policies import PolicyInput
-from maesn.runs.export import exported_policy
 from maesn.runtime import Latent, LearningRule, baseline
 
 

@@ -16,7 +16,7 @@ from runtime.test_search import PRIOR
 from maesn import cli
 from maesn.context import Latent
 from maesn.envs import AnyEnv, Point, Wheeled
-from maesn.runs.export import exported_policy, write_policy
+from maesn.evaluation.exporting import exported_policy, write_policy
 from maesn.runtime import Explorer
 from maesn.runtime.search_settings import SearchSettings
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from runtime.robot import constant, contents, observations, play, policy_file, towards
 
 from maesn.envs import Point
-from maesn.runs.export import Stated
+from maesn.evaluation.exporting import Stated
 from maesn.runtime import Explorer, Safeguards
 
 OBSERVATION = np.asarray([0.1, -0.2])

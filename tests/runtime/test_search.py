@@ -13,7 +13,7 @@ from learning_problems.transitions import episodes_of
 from runtime.robot import altered, contents, fast_learner, observations
 
 from maesn.envs import Point
-from maesn.runs.export import exported_policy, write_policy
+from maesn.evaluation.exporting import exported_policy, write_policy
 from maesn.runtime import Explorer, Safeguards
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnPrior

@@ -11,11 +11,11 @@ from runtime.robot import fast_learner
 
 from maesn.context import Latent
 from maesn.envs import Point, point
+from maesn.evaluation.exporting import exported_policy
 from maesn.experience.episodes import Episodes
 from maesn.inner.adaptation import StepSchedule
 from maesn.learners.gradient.fast_learner import GradientFastLearner
 from maesn.numerics import DiagonalGaussian
-from maesn.runs.export import exported_policy
 from maesn.runtime import Episode, Explorer, ExplorerState
 from maesn.runtime import Latent as RuntimeLatent
 from maesn.worlds import make_world

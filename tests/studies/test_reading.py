@@ -7,8 +7,8 @@ import pytest
 from maesn import GradientMetaLearner, cli
 from maesn.rules import SearchRule
 from maesn.runs.config import RunSettings
-from maesn.serialization import fields_to_json, leaves
 from maesn.search import SearchSettings
+from maesn.serialization import fields_to_json, leaves
 from maesn.storage import RunError
 from maesn.studies.members import members_of_run
 from maesn.studies.plan import make_plan

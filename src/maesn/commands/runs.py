@@ -13,8 +13,9 @@ from maesn.evaluation import film
 from maesn.evaluation.running import Adapted
 from maesn.reporting.report import Reported
 from maesn.reporting.tables import TextTable, adaptation_tables, print_tables
-from maesn.runs.export import exported_facts
 from maesn.runs.run import Run
+from maesn.runtime.storage import read_snapshot
+from maesn.runtime.table import facts
 from maesn.studies import comparison
 from maesn.studies.study import FailedJobsError, Results, Study
 
@@ -42,7 +43,7 @@ def _say_written(paths: list[Path]) -> None:
 
 def _say_exported(path: Path) -> None:
     print("In the simulation. Compare it with the robot:")
-    for what, value in exported_facts(path):
+    for what, value in facts(read_snapshot(path).exported):
         print(f"  {what:20s} {value}")
     print(path)
 
