@@ -20,6 +20,7 @@ from maesn.envs import NAMED_SETS, AnyEnv, RewardKind, TaskFamily, TaskSet, rebu
 from maesn.envs.sources import find_tasks, imported, resolve_family, save_tasks, warn_of_known_tests
 from maesn.learners import AbstractMetaLearner, Problem, method_name
 from maesn.runs import checkpoint, sources
+from maesn.runs.beginning import check_replay, drawn_replay, drawn_state, with_weights_of
 from maesn.runs.checkpoint import ITERATION, Checkpoint, CheckpointError, named_leaves
 from maesn.runs.config import (
     CONFIG,
@@ -38,7 +39,6 @@ from maesn.worlds import AbstractWorld, check_env_contract, check_policy, make_w
 logger = logging.getLogger(__name__)
 
 CHECKPOINTS = "checkpoints"
-LARGEST_REPLAY = 200  # megabytes, in memory and on disk
 
 # No run reaches this iteration, so its key is free for the untrained state. (A split of the seed's
 # key would give the keys of iterations 0 and 1 again.)
@@ -106,14 +106,12 @@ class Run:
         if init_from is not None:
             source = run.source(init_from)
             larger = run.structure(more_tasks=1)
-            state = _with_weights_of(
-                source.latest_state(), state, larger, learner, source.directory
-            )
+            state = with_weights_of(source.latest_state(), state, larger, learner, source.directory)
             begun = {"init_from": " ".join(source.identity().values())}
             config = dataclasses.replace(config, provenance=begun)
             run = dataclasses.replace(run, config=config)
         check_policy(learner.player(state), run.env())
-        _check_replay(learner, state, method)
+        check_replay(learner, state, method)
         with storage.locked(run.directory):
             # A process that was killed here may have left its first checkpoint.
             if (run.directory / CONFIG).exists() or len(run.checkpoints()) > 1:
@@ -188,12 +186,12 @@ class Run:
     def untrained_state(self) -> Any:
         """Return the state that the seed says; `RunError` if learner and tasks do not fit."""
         with refusals():
-            return _drawn_state(*self._drawn_from())
+            return drawn_state(*self._drawn_from())
 
     def structure(self, more_tasks: int = 0) -> Any:
         """Return the shapes and types of a state, for that many tasks more than the run has."""
         with refusals():
-            return eqx.filter_eval_shape(_drawn_state, *self._drawn_from(more_tasks))
+            return eqx.filter_eval_shape(drawn_state, *self._drawn_from(more_tasks))
 
     def identity(self) -> dict[str, str]:
         """Return which learner the latest checkpoint is of, and a digest of its weights."""
@@ -246,7 +244,7 @@ class Run:
         replay = checkpoint.names_of(self.learner.replay(structure), structure) - values.keys()
         beside: Mapping[str, Any] = checkpoint.replay_beside(Path(path)) if replay else {}
         if not (is_whole := replay <= beside.keys()):
-            beside = named_leaves(self.untrained_state())
+            beside = self._empty_replay(structure)
         values |= {name: np.asarray(beside[name]) for name in replay}
         state = checkpoint.restore(structure, values, path)
         iteration, steps = self.learner.iteration(state), metadata.get("environment_steps", "")
@@ -278,6 +276,14 @@ class Run:
                 "from Python, or import it in the module of your method or family."
             ) from error
 
+    def _empty_replay(self, structure: Any) -> dict[str, Any]:
+        """Return by name what the replay is before training; `structure` is that of a state."""
+        names = {id(leaf): name for name, leaf in named_leaves(structure).items()}
+        held = jax.tree.leaves(self.learner.replay(structure))
+        with refusals():
+            drawn = jax.tree.leaves(drawn_replay(*self._drawn_from()))
+        return {names[id(leaf)]: x for leaf, x in zip(held, drawn, strict=True)}
+
     def _drawn_from(self, more_tasks: int = 0) -> tuple[Any, ...]:
         """Return what the state before training is drawn from."""
         env, tasks = self.env(), self.training_tasks
@@ -291,34 +297,3 @@ class Run:
             episodes_per_task=self.settings.episodes_per_task,
         )
         return self.learner, self.iteration_key(_UNTRAINED), problem
-
-
-@eqx.filter_jit  # one program instead of many small ones takes half the time to compile
-def _drawn_state(learner: AbstractMetaLearner[Any, Any], key: Key, problem: Problem) -> Any:
-    """Return the state before any training."""
-    return learner.init(key, problem)
-
-
-def _with_weights_of(
-    other: Any, fresh: Any, larger: Any, learner: AbstractMetaLearner[Any, Any], source: Any
-) -> Any:
-    """Return a fresh state with the weights of another one that tasks share.
-
-    `larger` is the structure of a state for one more task: what differs in shape belongs to tasks.
-    Messages call the other state by its source; `RunError` if the weights do not fit.
-    """
-    learned, values, shapes = map(named_leaves, (other, fresh, larger))
-    for name in checkpoint.names_of(learner.weights(fresh), fresh):
-        if values[name].shape == shapes[name].shape:  # what belongs to a task begins afresh
-            values[name] = learned.get(name)
-    return checkpoint.restore(fresh, values, source)
-
-
-def _check_replay(learner: AbstractMetaLearner[Any, Any], state: Any, method: str) -> None:
-    """Refuse by `RunError` a replay that is too large to keep."""
-    megabytes = sum(x.nbytes for x in jax.tree.leaves(learner.replay(state))) / 1e6
-    if megabytes > LARGEST_REPLAY:
-        raise RunError(
-            f"the replay of `{method}` takes {megabytes:.0f} MB; at most {LARGEST_REPLAY} MB are "
-            "kept: let it hold fewer episodes, or train smaller networks."
-        )
