@@ -35,7 +35,7 @@ def main(settings: Settings) -> None:
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "eight.toml"
-        environment = os.environ | {"MAESN_CACHE": str(Path(folder) / "cache")}
+        environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
         # The first one fills the compilation cache.
         for name, iterations, workers in (("warm", 1, 1), ("one", 0, 1), ("two", 0, 2)):
             changed = text if not iterations else text.replace(f"= {settings.iterations}", "= 1")

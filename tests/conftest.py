@@ -33,7 +33,7 @@ os.environ["XLA_FLAGS"] = " ".join(
     ]
 )
 # XLA has aborted the process while it read back a program that the tests had stored.
-os.environ["MAESN_CACHE"] = "off"
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
 
 import jax
 import jaxtyping

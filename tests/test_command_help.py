@@ -39,7 +39,6 @@ def test_options_that_do_not_exist_name_the_one_that_does(
 def test_doctor_lets_a_robot_drive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("MAESN_CACHE", "off")
     monkeypatch.chdir(tmp_path)
     assert cli.run(["doctor"]) == 0
     shown = capsys.readouterr().out

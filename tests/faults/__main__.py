@@ -15,7 +15,7 @@ os.environ |= {
     "JAX_PLATFORMS": "cpu",
     "MPLBACKEND": "Agg",
     "OPENBLAS_NUM_THREADS": "1",
-    "MAESN_CACHE": "off",
+    "JAX_ENABLE_COMPILATION_CACHE": "false",
     "JAX_DISABLE_MOST_OPTIMIZATIONS": "true",
     "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_cpu_multi_thread_eigen=false",
 }

@@ -1,12 +1,14 @@
 """Settings that suit a family: what they change, and where the command line uses them."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import pytest
 
 import maesn
-from maesn.commands.train import read_options
+from maesn import api
+from maesn.commands.train import train
 from maesn.envs import FAMILIES, HOSTED
 from maesn.learners import PRESETS, method_name
 from maesn.learners.recommended import ANY, RECOMMENDED, recommended_settings
@@ -63,7 +65,16 @@ def test_elsewhere_the_preset_is_what_there_is() -> None:
         ),
     ],
 )
-def test_the_command_begins_with_what_suits(words: str, learner: Any, episodes: int) -> None:
-    options = read_options("maesn", words.split())
-    assert options.learner == learner
-    assert options.run_settings.episodes_per_task == episodes
+def test_the_command_begins_with_what_suits(
+    words: str, learner: Any, episodes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+
+    @functools.wraps(api.train)
+    def keep(learner: Any, settings: RunSettings, *_: Any, **__: Any) -> None:
+        found.append((learner, settings.episodes_per_task))
+
+    monkeypatch.setattr(api, "train", keep)
+    monkeypatch.setattr("maesn.commands.train.say_what_is_next", lambda run: None)
+    train(["maesn", *words.split()])
+    assert found == [(learner, episodes)]

@@ -55,7 +55,8 @@ def test_a_run_whose_programs_are_optimised_and_read_from_the_cache_goes_on(
 ) -> None:
     for name in ("XLA_FLAGS", "JAX_DISABLE_MOST_OPTIMIZATIONS"):  # compiled as in production
         monkeypatch.delenv(name)
-    monkeypatch.setenv("MAESN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("JAX_ENABLE_COMPILATION_CACHE", "true")
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
     whole, killed = (
         create(tmp_path / name, tiny_maesn(), iterations=ITERATIONS, checkpoint_every=3)
         for name in ("whole", "killed")

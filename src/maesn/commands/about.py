@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import distributions
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,7 +17,6 @@ from maesn.evaluation.running import evaluate
 from maesn.learners import PRESETS, SCRATCH
 from maesn.rules import KNOWN, paths_of
 from maesn.runs.config import installed_versions, read_config
-from maesn.runs.process import cache_directory
 from maesn.runs.run import Run
 from maesn.runs.sources import TRAINED, policy_names
 from maesn.serialization import fields_to_json
@@ -31,19 +31,21 @@ _EXTRAS = ("gymnasium",)
 @command
 def doctor() -> None:
     """Show versions, cores, graphics card, cache and policies; let a robot drive."""
+    set_in = jax.config.values
+    cache = set_in["jax_enable_compilation_cache"] and set_in["jax_compilation_cache_dir"]
     packages = {"maesn": __version__} | installed_versions("mujoco.batch")
     facts: dict[str, Sequence[object]] = {
         "versions": [f"{name} {number}" for name, number in packages.items()],
         "extras": [name for name in _EXTRAS if any(distributions(name=name))],
         "cores": [num_cpus()],
         "JAX runs on": jax.devices(),
-        "cache": [cache_directory() or "off"],
+        "cache": [cache or "off"],
         "policies": policy_names(),
     }
     for name, found in facts.items():
         print(f"{name:12s} {', '.join(map(str, found)) or 'none'}")
-    if cache := cache_directory():
-        check_writable(cache / "probe")
+    if cache:
+        check_writable(Path(cache) / "probe")
     asked = Evaluation(num_tasks=2, episodes=20, episodes_per_update=10)
     outcome, _ = evaluate(Run.open("wheeled"), asked)
     if not np.isfinite(outcome.curves.mean_return).all():

@@ -4,31 +4,22 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
 
-# Moves the compilation cache; empty, 0 or off: no cache.
-CACHE_VARIABLE = "MAESN_CACHE"
-
-
-def cache_directory(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return where compiled programs are kept; None if the user wants no cache."""
-    chosen = environment.get(CACHE_VARIABLE)
-    if chosen is None:
-        return Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "maesn"
-    return None if chosen in ("", "0", "off") else Path(chosen)
-
 
 def enable_compilation_cache() -> None:
-    """Keep compiled programs on disk, so that the next process starts at once."""
-    directory = cache_directory()
-    if directory is None:
-        return
+    """Keep compiled programs on disk, so that the next process starts at once.
+
+    JAX's own variables choose another directory (`JAX_COMPILATION_CACHE_DIR`), or keep nothing
+    (`JAX_ENABLE_COMPILATION_CACHE=false`).
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     settings = {
-        "jax_compilation_cache_dir": str(directory),
+        "jax_compilation_cache_dir": os.environ.get("JAX_COMPILATION_CACHE_DIR", f"{home}/maesn"),
         # Most programs of the first iteration compile in less than the second of JAX's default.
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
