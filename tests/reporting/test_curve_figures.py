@@ -10,9 +10,13 @@ from figure_checks import check_saved_whole, crowd, legend, line
 from synthetic_runs import adaptation_table, learning_curve, write_metrics, write_run
 from synthetic_runs import line as method
 
-from maesn.reporting.charts import learning_charts, moving_mean
 from maesn.reporting.comparison import Comparison, Line
-from maesn.reporting.figures.curves import plot_curves, plot_learning_curves
+from maesn.reporting.figures.curves import (
+    learning_charts,
+    moving_mean,
+    plot_curves,
+    plot_learning_curves,
+)
 from maesn.reporting.published import PublishedCurve, comparable_curve
 from maesn.reporting.reading import DEPLOY, stack_seeds
 from maesn.reporting.runs import LearningCurve

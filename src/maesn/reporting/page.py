@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from maesn.reporting import runs as records
-from maesn.reporting.charts import (
+from maesn.reporting.comparison import Comparison, Line
+from maesn.reporting.figures.curves import (
     Chart,
     adaptation_charts,
     belief_chart,
     learning_charts,
+    plot_charts,
     profile_chart,
 )
-from maesn.reporting.comparison import Comparison, Line
-from maesn.reporting.figures.curves import plot_charts
 from maesn.reporting.reading import count_of, latents_beside, usual_table
 from maesn.reporting.runs import RecordedRun, read_recorded
 from maesn.reporting.sources import Compared, Series

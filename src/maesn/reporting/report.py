@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from maesn.reporting.charts import learning_charts
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.figures import exploration
 from maesn.reporting.figures.curves import (
+    learning_charts,
     plot_curves,
     plot_ends,
     plot_learning_curves,
