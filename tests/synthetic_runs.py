@@ -15,13 +15,10 @@ from maesn.reporting.runs import (
     BELIEF,
     LATENT_PATHS,
     SEARCHES,
-    LatentPaths,
     Latents,
     LearningCurve,
-    RecordedBelief,
     RecordedExploration,
     RecordedRun,
-    RecordedSearches,
 )
 from maesn.reporting.sources import Series, group_series
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
@@ -176,7 +173,7 @@ def write_explorer(directory: Path) -> None:
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     paths = np.linspace(0.0, 1.0, 6)[:, None] * points[:, None]
     beliefs = draw.normal(size=(2, 2, 4, 5, 5))
-    searches = RecordedSearches(
+    searches = dict(
         task=np.arange(2.0),
         edge=3.0,
         played=draw.normal(size=(2, 3, 2)),
@@ -190,7 +187,7 @@ def write_explorer(directory: Path) -> None:
         familiar=np.linspace(0.7, 1.0, 8).reshape(2, 4),
     )
     sure = np.linspace(0.0, 1.0, 7)[:, None]
-    belief = RecordedBelief(
+    belief = dict(
         task=1,
         step=np.arange(7.0),
         mean=2.0 * sure * np.array([1.0, -1.0]),
@@ -200,9 +197,9 @@ def write_explorer(directory: Path) -> None:
         paths=np.cumsum(draw.normal(size=(2, 4, 2)), axis=1),
     )
     (directory / "figures").mkdir(exist_ok=True)
-    np.savez(directory / BELIEF, **vars(belief))
-    np.savez(directory / LATENT_PATHS, **vars(LatentPaths(points, paths)))
-    np.savez(directory / SEARCHES, **vars(searches))
+    np.savez(directory / BELIEF, **belief)
+    np.savez(directory / LATENT_PATHS, latents=points, paths=paths)
+    np.savez(directory / SEARCHES, **searches)
 
 
 def write_run(

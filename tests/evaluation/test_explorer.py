@@ -20,10 +20,7 @@ from maesn.reporting.runs import (
     EXPLORATION,
     LATENT_PATHS,
     SEARCHES,
-    LatentPaths,
-    RecordedBelief,
     RecordedExploration,
-    RecordedSearches,
     read_recorded,
 )
 from maesn.rules import SearchRule
@@ -52,34 +49,32 @@ def test_latents_are_a_lattice_in_the_plane_and_draws_beyond() -> None:
 
 
 def test_each_latent_has_the_path_of_an_episode(run: Run) -> None:
-    recorded = read_recorded(LatentPaths, run.directory / LATENT_PATHS)
-    assert recorded is not None
-    assert recorded.paths.shape == (441, 40, 2)
+    paths = np.load(run.directory / LATENT_PATHS)["paths"]
+    assert paths.shape == (441, 40, 2)
     # The point starts at the origin, up to its noise of 1 cm, and moves at most 10 cm in a step.
-    assert np.abs(recorded.paths[:, 0]).max() < 0.1
-    steps = np.linalg.norm(np.diff(recorded.paths, axis=1), axis=-1)
+    assert np.abs(paths[:, 0]).max() < 0.1
+    steps = np.linalg.norm(np.diff(paths, axis=1), axis=-1)
     assert steps.max() <= 2 * np.sqrt(2) * 0.1 + 1e-5
-    assert not np.allclose(recorded.paths[0], recorded.paths[-1], atol=1e-3)
+    assert not np.allclose(paths[0], paths[-1], atol=1e-3)
 
 
 def test_searches_are_those_of_the_rule(run: Run) -> None:
-    recorded = read_recorded(RecordedSearches, run.directory / SEARCHES)
-    assert recorded is not None
+    recorded = np.load(run.directory / SEARCHES)
     with closing(run.world(reward_kind="sparse")) as world:
         prior = find_prior(run, run.latest_state(), world.env, action_noise=False)
     model = SearchRule().settings.model(prior)
     first = exploration.LatentSearch.start(model, SearchRule().settings)
     means = first.posterior.mean
     np.testing.assert_allclose(
-        recorded.deployed[:, 0], np.tile(first.points[np.argmax(means)], (8, 1)), atol=1e-5
+        recorded["deployed"][:, 0], np.tile(first.points[np.argmax(means)], (8, 1)), atol=1e-5
     )
-    assert recorded.mean.shape == recorded.std.shape == (8, 11, 21, 21)
-    assert (recorded.std >= 0).all()
+    assert recorded["mean"].shape == recorded["std"].shape == (8, 11, 21, 21)
+    assert (recorded["std"] >= 0).all()
     # Beliefs are those of the model at the corners of the square.
-    corner = np.array([[-recorded.edge, -recorded.edge]])
+    corner = np.array([[-recorded["edge"], -recorded["edge"]]])
     more = first.posterior.extended(corner)
-    np.testing.assert_allclose(recorded.mean[:, 0, 0, 0], more.mean[-1], rtol=1e-5)
-    assert set(np.unique(recorded.reached)) <= {0.0, 1.0}
+    np.testing.assert_allclose(recorded["mean"][:, 0, 0, 0], more.mean[-1], rtol=1e-5)
+    assert set(np.unique(recorded["reached"])) <= {0.0, 1.0}
 
 
 def test_a_belief_is_that_of_the_agent_and_predicts_cell_by_cell(tmp_path: Path) -> None:
@@ -116,14 +111,13 @@ def test_a_belief_is_that_of_the_agent_and_predicts_cell_by_cell(tmp_path: Path)
             found, np.broadcast_to(np.stack([after.mean, after.std()]), found.shape), atol=1e-5
         )
     exploration.record_belief(made)
-    recorded = read_recorded(RecordedBelief, made.directory / BELIEF)
-    assert recorded is not None
-    assert recorded.predicted.shape == (31, 15, 15)
-    assert recorded.paths.shape == (2, 16, 2)
-    np.testing.assert_array_equal(recorded.corners, [[-0.5, -0.5], [4.5, 4.5]])
+    recorded = np.load(made.directory / BELIEF)
+    assert recorded["predicted"].shape == (31, 15, 15)
+    assert recorded["paths"].shape == (2, 16, 2)
+    np.testing.assert_array_equal(recorded["corners"], [[-0.5, -0.5], [4.5, 4.5]])
     # Three by three places share a cell.
     np.testing.assert_array_equal(
-        recorded.predicted[:, ::3, ::3], recorded.predicted[:, 2::3, 2::3]
+        recorded["predicted"][:, ::3, ::3], recorded["predicted"][:, 2::3, 2::3]
     )
 
 
@@ -133,9 +127,8 @@ def test_a_run_without_latents_has_none_to_show(
     made = create(tmp_path / "run", maml(policy=GaussianMLP((8,)), meta_batch_size=4), iterations=1)
     exploration.record_explorer(made)
     exploration.record_belief(made)
-    assert read_recorded(RecordedBelief, made.directory / BELIEF) is None
-    assert read_recorded(LatentPaths, made.directory / LATENT_PATHS) is None
-    assert read_recorded(RecordedSearches, made.directory / SEARCHES) is None
+    for file in (BELIEF, LATENT_PATHS, SEARCHES):
+        assert not (made.directory / file).exists()
     monkeypatch.setattr(exploration, "EXPLORATION_EPISODES", 5)
     exploration.record_exploration(made, made.directory / EXPLORATION)
     recorded = read_recorded(RecordedExploration, made.directory / EXPLORATION)

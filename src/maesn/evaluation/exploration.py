@@ -25,10 +25,7 @@ from maesn.reporting.runs import (
     LATENT_PATHS,
     RECORDED_TASKS,
     SEARCHES,
-    LatentPaths,
-    RecordedBelief,
     RecordedExploration,
-    RecordedSearches,
 )
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
@@ -129,11 +126,11 @@ def record_explorer(run: Run) -> None:
             played = collect(keys[part], latent.holding(latents[part]), slots)
             paths.append(_thinned(world.env, played)[:, 0])
         has_prior = prior_file(run, world.env).exists()
-    recorded = LatentPaths(latents, np.concatenate(paths))
-    write_arrays(run.directory / LATENT_PATHS, vars(recorded))
+    arrays = {"latents": latents, "paths": np.concatenate(paths)}
+    write_arrays(run.directory / LATENT_PATHS, arrays)
     if has_prior:
         try:
-            write_arrays(run.directory / SEARCHES, vars(_searches(run)))
+            write_arrays(run.directory / SEARCHES, _searches(run))
         except RunError as error:  # the prior may be that of earlier weights
             (run.directory / SEARCHES).unlink(missing_ok=True)
             logger.warning("no search is shown: %s", error)
@@ -161,10 +158,16 @@ def record_belief(run: Run) -> None:
     last_step = belief.mean.shape[1] - 1
     step = np.linspace(0, last_step, min(last_step, _MOMENTS) + 1).round()
     mean, std, predicted = (np.asarray(x[0])[step.astype(int)] for x in belief)
-    record = RecordedBelief(
-        len(tasks) - 1, step, mean, std, predicted.reshape(-1, _PLACES, _PLACES), corners, paths
-    )
-    write_arrays(run.directory / BELIEF, vars(record))
+    arrays = {
+        "task": len(tasks) - 1,
+        "step": step,  # steps of the trial so far
+        "mean": mean,
+        "std": std,
+        "predicted": predicted.reshape(-1, _PLACES, _PLACES),
+        "corners": corners,
+        "paths": paths,
+    }
+    write_arrays(run.directory / BELIEF, arrays)
 
 
 def spread_latents(size: int) -> np.ndarray:
@@ -178,26 +181,32 @@ def spread_latents(size: int) -> np.ndarray:
     return np.array(list(itertools.product(axis, repeat=size)))
 
 
-def _searches(run: Run) -> RecordedSearches:
+def _searches(run: Run) -> dict[str, Any]:
+    """Return arrays of latent search in some new tasks, one episode after the other.
+
+    Beliefs are about the part of the return that depends on the latent. They cover a square of the
+    first two components, from -edge to edge; the others are those of the deployed latent.
+    """
     with new_tasks(run, Evaluation(rule=SearchRule(), num_tasks=_TASKS)) as (world, learner):
         collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), _TASKS)
         states, played = _play_on(learner, collect, keys, jnp.arange(_TASKS), _EPISODES)
     episodes = jax.tree.map(lambda *batches: jnp.concatenate(batches, axis=1), *played)
     searches = list(zip(*(state.searches for state in states), strict=True))  # [task][episode]
     beliefs = np.array([[_beliefs(one) for one in task] for task in searches])
-    return RecordedSearches(
-        task=np.arange(_TASKS, dtype=float),
-        edge=_EDGE,
-        played=np.asarray(episodes.z),
-        returns=np.asarray(episodes.undiscounted_return),
-        reached=np.asarray((episodes.valid & episodes.solved).any(-1), float),
-        paths=_thinned(world.env, episodes),
-        deployed=np.array([[one.points[one.best] for one in task] for task in searches]),
-        mean=beliefs[:, :, 0],
-        std=beliefs[:, :, 1],
-        interval=np.array([[one.interval(one.best) for one in task] for task in searches]),
-        familiar=np.array([[one.posterior.familiar for one in task] for task in searches]),
-    )
+    return {
+        "task": np.arange(_TASKS),
+        "edge": _EDGE,
+        "played": episodes.z,
+        "returns": episodes.undiscounted_return,
+        "reached": (episodes.valid & episodes.solved).any(-1),
+        "paths": _thinned(world.env, episodes),
+        # Before each episode and after the last, `[task, episode_plus_1, ...]`:
+        "deployed": [[one.points[one.best] for one in task] for task in searches],
+        "mean": beliefs[:, :, 0],
+        "std": beliefs[:, :, 1],
+        "interval": [[one.interval(one.best) for one in task] for task in searches],
+        "familiar": [[one.posterior.familiar for one in task] for task in searches],
+    }
 
 
 def _play_on(

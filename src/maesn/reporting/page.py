@@ -24,7 +24,7 @@ from maesn.reporting.sources import Compared, Series
 from maesn.reporting.style import ONE_COLUMN, publication_style, rendered
 from maesn.reporting.tables import UNITS, summary_tables
 from maesn.settings import leaves
-from maesn.storage import read_json, write_whole
+from maesn.storage import read_arrays, read_json, write_whole
 
 Document = dict[str, Any]
 
@@ -154,16 +154,15 @@ def _plane(run: RecordedRun, believing: RecordedRun) -> Document | None:
     table = usual_table(run.path)
     adapted = table and read_recorded(records.Latents, latents_beside(table))
     ends = rounded(adapted.mean[:, -1]) if adapted else []
-    paths = read_recorded(records.LatentPaths, run.path / records.LATENT_PATHS)
-    searches = read_recorded(records.RecordedSearches, run.path / records.SEARCHES)
-    belief = read_recorded(records.RecordedBelief, believing.path / records.BELIEF)
+    paths, searches = (_arrays(run.path / x) for x in (records.LATENT_PATHS, records.SEARCHES))
+    belief = _arrays(believing.path / records.BELIEF)
     return {
         "goals": rounded(explored.goals),
         "radius": explored.sparse_radius,
         "landmarks": rounded(explored.landmarks),
-        "explorer": paths and {"adapted": ends, **_numbers(paths)},
-        "search": searches and _numbers(searches),
-        "belief": belief and {"chart": _chart(belief_chart(belief)), **_numbers(belief)},
+        "explorer": paths and {"adapted": ends, **paths},
+        "search": searches,
+        "belief": belief and {"chart": _chart(belief_chart(belief)), **belief},
         "panels": [
             {"title": title, "paths": rounded(paths[:_SHOWN_EPISODES, times])}
             for title, paths in panels.items()
@@ -172,8 +171,11 @@ def _plane(run: RecordedRun, believing: RecordedRun) -> Document | None:
     }
 
 
-def _numbers(record: Any) -> Document:
-    return {name: rounded(values) for name, values in vars(record).items()}
+def _arrays(file: Path) -> Document | None:
+    """Return what `maesn report` has recorded in a file; None if there is none."""
+    if not file.exists():
+        return None
+    return {name: rounded(x) for name, x in read_arrays(file, records.REMEDY).items()}
 
 
 def _settings(heads: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> Document:

@@ -10,12 +10,13 @@ from jaxtyping import Float
 
 from maesn.storage import RunError, read_arrays, read_json, read_json_lines
 
-# The files of a run directory in which `maesn report` records the classes below.
+# The files of a run directory in which `maesn report` records what it shows.
 EXPLORATION = Path("figures") / "exploration.npz"
 LATENT_PATHS = Path("figures") / "latent-paths.npz"
 SEARCHES = Path("figures") / "searches.npz"
 BELIEF = Path("figures") / "belief.npz"
 RECORDED_TASKS = "test"  # the task set of all four
+REMEDY = "delete it, and report again"
 
 Record = TypeVar("Record")
 Positions = Float[np.ndarray, "episode time_plus_1 2"]
@@ -101,58 +102,9 @@ class RecordedExploration:
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None
 
 
-@dataclass(frozen=True)
-class LatentPaths:
-    """An episode of each of many latents, in one task; positions in metres, thinned out."""
-
-    latents: Float[np.ndarray, "latent z"]
-    paths: Float[np.ndarray, "latent point 2"]
-
-
-@dataclass(frozen=True)
-class RecordedSearches:
-    """Latent search in some new tasks, one episode after the other.
-
-    Beliefs are about the part of the return that depends on the latent. They cover a square of the
-    first two components, from -edge to edge; the others are those of the deployed latent.
-    """
-
-    task: Float[np.ndarray, " task"]  # indices of the tasks
-    edge: float
-    played: Float[np.ndarray, "task episode z"]
-    returns: Float[np.ndarray, "task episode"]
-    reached: Float[np.ndarray, "task episode"]  # 1 where an episode reached the goal
-    paths: Float[np.ndarray, "task episode point 2"]  # positions in metres, thinned out
-    # The latent of the highest posterior mean, before each episode and after the last.
-    deployed: Float[np.ndarray, "task episode_plus_1 z"]
-    # The posterior's mean and standard deviation; rows are the second component.
-    mean: Float[np.ndarray, "task episode_plus_1 row column"]
-    std: Float[np.ndarray, "task episode_plus_1 row column"]
-    # 90 % interval of the return of the deployed latent.
-    interval: Float[np.ndarray, "task episode_plus_1 2"]
-    # Posterior probability that the task is like one of the training tasks.
-    familiar: Float[np.ndarray, "task episode_plus_1"]
-
-
-@dataclass(frozen=True)
-class RecordedBelief:
-    """The belief about one new task over a trial, and the rewards that it predicts.
-
-    Predictions cover a rectangle of the plane, between two corners.
-    """
-
-    task: int  # its index
-    step: Float[np.ndarray, " moment"]  # steps of the trial so far, at most so many moments
-    mean: Float[np.ndarray, "moment z"]
-    std: Float[np.ndarray, "moment z"]
-    predicted: Float[np.ndarray, "moment row column"]
-    corners: Float[np.ndarray, "2 2"]  # lower left and upper right
-    paths: Float[np.ndarray, "episode time_plus_1 2"]
-
-
 def read_recorded(kind: type[Record], file: Path) -> Record | None:
     """Read a record of `maesn report`; None if there is none."""
-    return read_record(kind, file, "delete it, and report again") if file.exists() else None
+    return read_record(kind, file, REMEDY) if file.exists() else None
 
 
 def read_record(kind: type[Record], path: Path, remedy: str) -> Record:

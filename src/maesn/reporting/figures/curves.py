@@ -1,6 +1,6 @@
 """Curves of meta-training and of methods in new tasks, and where these end."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import cycle
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
 from maesn.reporting import statistics, style
 from maesn.reporting.comparison import Comparison, Line, note_on_judging
-from maesn.reporting.runs import LearningCurve, RecordedBelief
+from maesn.reporting.runs import LearningCurve
 from maesn.reporting.sources import Series
 from maesn.reporting.style import DARK_GREY, METHOD_STYLES, Drawn, MethodStyle
 
@@ -112,14 +112,13 @@ def learning_charts(series: Sequence[Series]) -> dict[str, list[Chart]]:
     return found
 
 
-def belief_chart(belief: RecordedBelief) -> Chart:
+def belief_chart(belief: Mapping[str, Any]) -> Chart:
     """Return the posterior's mean over a trial, a line and a band of ± its spread a component."""
     colours = [style.colour for style in METHOD_STYLES.values()]
+    means, stds = (np.array(belief[name]).T for name in ("mean", "std"))
     curves = [
-        Curve(MethodStyle(f"m{number}", colour, "-", ""), belief.step, mean, mean - std, mean + std)
-        for number, (mean, std, colour) in enumerate(
-            zip(belief.mean.T, belief.std.T, cycle(colours)), start=1
-        )
+        Curve(MethodStyle(f"m{n}", colour, "-", ""), belief["step"], mean, mean - std, mean + std)
+        for n, (mean, std, colour) in enumerate(zip(means, stds, cycle(colours)), start=1)
     ]
     return Chart("steps of the trial", "posterior mean ± spread", curves)
 
