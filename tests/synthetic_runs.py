@@ -167,29 +167,29 @@ def write_explorer(directory: Path) -> None:
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     paths = np.linspace(0.0, 1.0, 6)[:, None] * points[:, None]
     beliefs = draw.normal(size=(2, 2, 4, 5, 5))
-    searches = dict(
-        task=np.arange(2.0),
-        edge=3.0,
-        played=draw.normal(size=(2, 3, 2)),
-        returns=np.array([[-300.0, -250.5, -200.0], [-310.0, -260.0, -210.0]]),
-        reached=np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
-        paths=draw.normal(size=(2, 3, 6, 2)),
-        deployed=draw.normal(size=(2, 4, 2)),
-        mean=beliefs[0],
-        std=np.abs(beliefs[1]),
-        interval=np.sort(draw.uniform(-300.0, -200.0, (2, 4, 2)), axis=-1),
-        familiar=np.linspace(0.7, 1.0, 8).reshape(2, 4),
-    )
+    searches = {
+        "task": np.arange(2.0),
+        "edge": 3.0,
+        "played": draw.normal(size=(2, 3, 2)),
+        "returns": np.array([[-300.0, -250.5, -200.0], [-310.0, -260.0, -210.0]]),
+        "reached": np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
+        "paths": draw.normal(size=(2, 3, 6, 2)),
+        "deployed": draw.normal(size=(2, 4, 2)),
+        "mean": beliefs[0],
+        "std": np.abs(beliefs[1]),
+        "interval": np.sort(draw.uniform(-300.0, -200.0, (2, 4, 2)), axis=-1),
+        "familiar": np.linspace(0.7, 1.0, 8).reshape(2, 4),
+    }
     sure = np.linspace(0.0, 1.0, 7)[:, None]
-    belief = dict(
-        task=1,
-        step=np.arange(7.0),
-        mean=2.0 * sure * np.array([1.0, -1.0]),
-        std=1.0 - 0.9 * sure * np.ones(2),
-        predicted=0.5 + sure[..., None] * np.linspace(-0.5, 0.5, 16).reshape(4, 4),
-        corners=np.array([[-2.0, -1.0], [2.0, 3.0]]),
-        paths=np.cumsum(draw.normal(size=(2, 4, 2)), axis=1),
-    )
+    belief = {
+        "task": 1,
+        "step": np.arange(7.0),
+        "mean": 2.0 * sure * np.array([1.0, -1.0]),
+        "std": 1.0 - 0.9 * sure * np.ones(2),
+        "predicted": 0.5 + sure[..., None] * np.linspace(-0.5, 0.5, 16).reshape(4, 4),
+        "corners": np.array([[-2.0, -1.0], [2.0, 3.0]]),
+        "paths": np.cumsum(draw.normal(size=(2, 4, 2)), axis=1),
+    }
     (directory / "figures").mkdir(exist_ok=True)
     np.savez(directory / BELIEF, **belief)
     np.savez(directory / LATENT_PATHS, latents=points, paths=paths)

@@ -92,7 +92,6 @@ from maesn.rules import Budget as Budget
 from maesn.rules import GradientRule as GradientRule
 from maesn.rules import NoAdaptation as NoAdaptation
 from maesn.rules import SearchRule as SearchRule
-from maesn.rules import ThenReinforce as ThenReinforce
 from maesn.rules import ThenTrpo as ThenTrpo
 from maesn.rules import Trained as Trained
 from maesn.rules import VimeBonus as VimeBonus

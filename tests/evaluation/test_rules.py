@@ -19,7 +19,6 @@ from maesn.rules import (
     GradientRule,
     NoAdaptation,
     SearchRule,
-    ThenReinforce,
     ThenTrpo,
     Trained,
     VimeBonus,
@@ -182,7 +181,7 @@ def test_what_cannot_be_given_is_refused_by_name(trained: Path, tmp_path: Path) 
             api.adapt(recurrent, wrappers=(added,), episodes=550)
     for run, named, asked in (
         (trained, "more than `after`", {"wrappers": (ThenTrpo(),)}),
-        (trained, "`after` must be a multiple", {"wrappers": (ThenReinforce(after=30),)}),
+        (trained, "`after` must be a multiple", {"wrappers": (ThenTrpo(after=30),)}),
         (
             trained,
             "more than `after`",
@@ -216,7 +215,6 @@ def test_rules_as_text() -> None:
     assert from_text("rule", "gradient") == GradientRule()
     assert from_text("rule", "gradient step_scale=2 full_steps=3") == GradientRule(2.0, 3)
     assert from_text("then", "trpo max_kl=0.02 after=100") == ThenTrpo(0.02, 100)
-    assert from_text("then", "reinforce") == ThenReinforce()
     assert from_text("bonus", "vime curiosity.weight=0.5") == VimeBonus(CuriosityBonus(0.5))
 
 

@@ -57,7 +57,7 @@ def test_every_figure_is_saved_with_nothing_cut_off(
 
 def test_exploration() -> None:
     figure = exploration_figure().figure
-    maesn, maml, untrained = figure.axes
+    maesn, _, untrained = figure.axes
     titles = [axes.get_title() for axes in figure.axes]
     assert titles == ["MAESN", "MAML", "untrained policy"]
     np.testing.assert_array_equal(segments(maesn), exploration().prior_paths)

@@ -13,6 +13,5 @@ from maesn.rules.text import KNOWN as KNOWN
 from maesn.rules.text import from_text as from_text
 from maesn.rules.text import paths_of as paths_of
 from maesn.rules.text import written_out as written_out
-from maesn.rules.wrappers import ThenReinforce as ThenReinforce
 from maesn.rules.wrappers import ThenTrpo as ThenTrpo
 from maesn.rules.wrappers import VimeBonus as VimeBonus

@@ -8,7 +8,7 @@ from maesn.envs.sources import imported
 from maesn.rules.base import AbstractRule, AbstractWrapper
 from maesn.rules.prescribed import GradientRule, NoAdaptation
 from maesn.rules.search import SearchRule, StationaryRule
-from maesn.rules.wrappers import ThenReinforce, ThenTrpo, VimeBonus
+from maesn.rules.wrappers import ThenTrpo, VimeBonus
 from maesn.serialization import TAG, fields_to_json, replaced, values_of_words
 from maesn.settings import leaves
 from maesn.storage import RunError, refusals
@@ -20,7 +20,7 @@ KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
         "none": NoAdaptation,
         "stationary": StationaryRule,
     },
-    "then": {"trpo": ThenTrpo, "reinforce": ThenReinforce},
+    "then": {"trpo": ThenTrpo},
     "bonus": {"vime": VimeBonus},
 }
 """Option of the command line -> the rules or wrappers that come with the library, by name."""

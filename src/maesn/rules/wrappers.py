@@ -1,9 +1,6 @@
 """Wrappers of rules: fine-tuning of the policy's weights, and a bonus on the rewards."""
 
-from abc import abstractmethod
 from typing import Any
-
-import equinox as eqx
 
 from maesn.envs import AnyEnv
 from maesn.learners import (
@@ -11,7 +8,6 @@ from maesn.learners import (
     TRPO,
     AbstractFastLearner,
     CuriosityBonus,
-    GradientStep,
     PolicyImprovement,
     fine_tuned,
     with_curiosity,
@@ -20,22 +16,23 @@ from maesn.rules.base import AbstractWrapper
 from maesn.settings import check_number
 
 
-class AbstractThen(AbstractWrapper):
-    """After some episodes, fix the contexts and improve the policy's weights by policy gradient.
+class ThenTrpo(AbstractWrapper):
+    """After some episodes, fix the contexts and improve the policy's weights by TRPO.
 
     The paper's claim about asymptotic performance is about MAESN followed by TRPO.
     """
 
-    after: eqx.AbstractVar[int]
+    max_kl: float = TRPO.trust_region.max_kl
+    """Bound on the mean KL divergence of an update."""
+    after: int = 500
     """Episodes per task that the rule itself learns from."""
-
-    @property
-    @abstractmethod
-    def improvement(self) -> PolicyImprovement:
-        """The policy gradient method."""
 
     def __check_init__(self) -> None:
         check_number("after", self.after, 0)
+
+    @property
+    def label(self) -> str:
+        return f"{self.after} episodes, then TRPO"
 
     def check_budget(self, episodes: int, episodes_per_update: int) -> None:
         least = LEAST_BATCH
@@ -51,39 +48,7 @@ class AbstractThen(AbstractWrapper):
             )
 
     def wrap(self, learner: AbstractFastLearner[Any], env: AnyEnv) -> AbstractFastLearner[Any]:
-        return fine_tuned(learner, self.improvement, self.after)
-
-
-class ThenTrpo(AbstractThen):
-    """Fine-tuning by TRPO."""
-
-    max_kl: float = TRPO.trust_region.max_kl
-    """Bound on the mean KL divergence of an update."""
-    after: int = 500
-
-    @property
-    def improvement(self) -> PolicyImprovement:
-        return PolicyImprovement(TRPO.sized(self.max_kl))
-
-    @property
-    def label(self) -> str:
-        return f"{self.after} episodes, then TRPO"
-
-
-class ThenReinforce(AbstractThen):
-    """Fine-tuning by REINFORCE."""
-
-    step_size: float = GradientStep().step_size
-    """Step size of every update."""
-    after: int = 500
-
-    @property
-    def improvement(self) -> PolicyImprovement:
-        return PolicyImprovement(GradientStep(self.step_size))
-
-    @property
-    def label(self) -> str:
-        return f"{self.after} episodes, then REINFORCE"
+        return fine_tuned(learner, PolicyImprovement(TRPO.sized(self.max_kl)), self.after)
 
 
 class VimeBonus(AbstractWrapper):
