@@ -76,6 +76,12 @@ def exploration(*, has_latents: bool = True) -> RecordedExploration:
         prior_paths=fan(directions, 2.0),
         untrained_paths=fan(directions, 0.3),
         fixed_paths=fan(np.full(NUM_EPISODES, 1.0), 2.0) if has_latents else None,
+        prior_latents=np.random.default_rng(0).normal(size=(NUM_EPISODES, 2))
+        if has_latents
+        else None,
+        untrained_success_rate=np.array([0.0, 0.1, 0.0, 0.0, 0.5, 0.0, 0.0, 1.0]),
+        solved_at_reset=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        episodes_per_task=10,
     )
 
 

@@ -110,22 +110,23 @@ def test_the_latents_move_and_the_seed_matters(
 
 def explored(
     learner: GradientFastLearner, collect: Collector, num_tasks: int, at_mean: bool = False
-) -> np.ndarray:
-    """Paths of a learner that has learned nothing yet."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Paths and latents of a learner that has learned nothing yet."""
     keys = jax.random.split(jax.random.key(0), num_tasks)
     agents = learner.agents(learner.init(keys))
     return explore(agents.at_mean() if at_mean else agents, collect, keys)
 
 
 def test_exploration_draws_z_or_holds_it(collect: Collector, learner: GradientFastLearner) -> None:
-    many = explored(learner, collect, NUM_TASKS + 1)
+    many, latents = explored(learner, collect, NUM_TASKS + 1)
     # Every episode is one of its own, in the task that is played again as well.
-    assert len(np.unique(many[:, -1], axis=0)) == (NUM_TASKS + 1) * EPISODES
-    paths = explored(learner, collect, 1)
-    fixed_paths = explored(learner, collect, 1, at_mean=True)
+    assert len(np.unique(many[:, -1], axis=0)) == len(latents) == (NUM_TASKS + 1) * EPISODES
+    paths, latents = explored(learner, collect, 1)
+    fixed_paths, _ = explored(learner, collect, 1, at_mean=True)
     assert paths.shape == (EPISODES, collect.world.env.horizon + 1, 2)
     # The start and the noise of the actions are the same; only z differs.
     np.testing.assert_array_equal(paths[:, 0], fixed_paths[:, 0])
+    assert np.ptp(latents, axis=0).min() > 1e-4
     assert not np.array_equal(paths, fixed_paths)
 
 
@@ -145,7 +146,7 @@ def test_paths_stay_where_their_episodes_end(env: HiddenEnd, lost: int) -> None:
     meta = maesn(policy=GaussianMLP(hidden_sizes=(8,)), meta_batch_size=2)
     state = meta.init(jax.random.key(0), Problem(env.observation_size, env.action_size, 10))
     collect = Collector(make_world(env, SHORT_LIVES), 1)
-    paths = explored(meta.fast_learner(state), collect, 4)
+    paths, _ = explored(meta.fast_learner(state), collect, 4)
     # The probe shows the share of the horizon that is over. A state that blew up is no place.
     last = np.minimum(np.ceil(SHORT_LIVES.tasks) - lost, env.horizon)
     expected = np.minimum(np.arange(env.horizon + 1), last[:, None]) / env.horizon

@@ -135,3 +135,4 @@ def test_a_run_without_latents_has_none_to_show(
     assert recorded is not None
     assert recorded.prior_paths.shape == recorded.untrained_paths.shape == (5, 41, 2)
     assert recorded.fixed_paths is None
+    assert recorded.prior_latents is None

@@ -56,6 +56,9 @@ def test_a_deployed_agent_is_judged_and_what_explored_is_remembered(tmp_path: Pa
     assert table.purpose == DEPLOY
     np.testing.assert_array_equal(table.success_rate, deployed.success_rate)
     np.testing.assert_array_equal(table.explored_success_rate, explored.success_rate)
+    # The deployed agent plays no prior episodes.
+    assert table.prior_reach == explored.prior_reach
+    assert explored.prior_reach not in ("", "100% of the goals in 50 episodes")
 
 
 @pytest.mark.parametrize(
@@ -126,19 +129,29 @@ def test_a_record_says_how_many_episodes_there_were(tmp_path: Path) -> None:
     path.with_suffix(".settings.json").write_text(json.dumps(record))
     table = read_adaptation(path)
     assert table.episodes_per_update == 1
+    assert table.prior_reach.endswith("of the goals in 30 episodes")
     assert table.first_beyond == 2
     said = "The method was trained for trials of 2 episodes: from update 2 on it is beyond them."
     assert said in adaptation_tables(path)[0].notes
 
 
-def test_tasks_that_are_solved_at_reset_can_be_left_out() -> None:
-    at_reset = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
+def test_tasks_that_are_solved_at_reset_are_no_matter_of_exploration() -> None:
+    rates = np.zeros((NUM_TASKS, NUM_UPDATES + 1))
+    rates[:2, 0] = 0.02, 1.0
+    reach = replace(adaptation_table(), explored_success_rate=rates).prior_reach
+    assert reach == f"{2 / NUM_TASKS:.0%} of the goals in 50 episodes"
+    at_reset = np.zeros_like(rates)
     at_reset[1] = 1.0
-    table = replace(adaptation_table(), solved_at_reset=at_reset)
+    table = replace(adaptation_table(), explored_success_rate=rates, solved_at_reset=at_reset)
     assert np.flatnonzero(table.is_solved_at_reset).tolist() == [1]
+    assert table.prior_reach == f"{1 / (NUM_TASKS - 1):.0%} of the goals in 50 episodes"
     rest = table.part(~table.is_solved_at_reset)
     assert (rest.num_tasks, rest.is_solved_at_reset.any()) == (NUM_TASKS - 1, False)
     np.testing.assert_array_equal(rest.mean_return, np.delete(table.mean_return, 1, axis=0))
+    everything = replace(table, solved_at_reset=np.ones_like(rates))
+    assert everything.prior_reach == ""
+    single = columns(adaptation_table(), slice(1))  # the number of episodes is unknown
+    assert (single.episodes_per_update, single.prior_reach) == (None, "")
 
 
 def test_seeds_are_stacked_if_they_have_the_same_tasks() -> None:

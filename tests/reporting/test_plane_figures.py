@@ -12,6 +12,7 @@ from synthetic_runs import (
     NUM_EPISODES,
     NUM_TASKS,
     RADIUS,
+    adaptation_table,
     exploration,
     fan,
     half_circle,
@@ -27,16 +28,23 @@ from maesn.reporting.figures.exploration import (
     plot_task_distribution,
     shared_limits,
 )
+from maesn.reporting.runs import RecordedExploration
 from maesn.reporting.style import METHOD_STYLES, Drawn
 
 
 def exploration_figure() -> Drawn:
     maesn, maml = METHOD_STYLES["maesn"], METHOD_STYLES["maml"]
-    return plot_exploration([(maesn, exploration()), (maml, exploration(has_latents=False))])
+    return plot_exploration(
+        [
+            (maesn, exploration(), adaptation_table().prior_reach),
+            (maml, exploration(has_latents=False), ""),
+        ]
+    )
 
 
 def crowded_exploration_figure() -> Drawn:
-    return plot_exploration([(one.style, exploration()) for one in crowd()])
+    reach = adaptation_table().prior_reach
+    return plot_exploration([(one.style, exploration(), reach) for one in crowd()])
 
 
 FIGURES: dict[str, Callable[[], Drawn]] = {
@@ -57,9 +65,11 @@ def test_every_figure_is_saved_with_nothing_cut_off(
 
 def test_exploration() -> None:
     figure = exploration_figure().figure
-    maesn, _, untrained = figure.axes
-    titles = [axes.get_title() for axes in figure.axes]
-    assert titles == ["MAESN", "MAML", "untrained policy"]
+    maesn, maml, untrained = figure.axes
+    share = round(100 * float((adaptation_table().success_rate[:, 0] > 0).mean()))
+    assert maesn.get_title() == f"MAESN\n{share}% of the goals in 50 episodes"
+    assert maml.get_title() == "MAML"
+    assert untrained.get_title() == "untrained policy\n29% of the goals in 10 episodes"
     np.testing.assert_array_equal(segments(maesn), exploration().prior_paths)
     np.testing.assert_array_equal(segments(untrained), exploration().untrained_paths)
     for axes in figure.axes:
@@ -69,6 +79,17 @@ def test_exploration() -> None:
         np.testing.assert_array_equal(ellipses(axes).get_offsets(), half_circle(NUM_TASKS))
         assert set(ellipses(axes).get_widths()) == {2 * RADIUS}
     assert maesn.get_ylabel() == "y (m)"
+
+
+def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() -> None:
+    def title(recorded: RecordedExploration) -> str:
+        drawn = plot_exploration([(METHOD_STYLES["maesn"], recorded, "")])
+        return str(drawn.figure.axes[-1].get_title())
+
+    # 2 of the 7 tasks that are not solved at reset.
+    assert title(exploration()) == "untrained policy\n29% of the goals in 10 episodes"
+    everything = replace(exploration(), solved_at_reset=np.ones(NUM_TASKS))
+    assert title(everything) == "untrained policy"
 
 
 def test_limits_hold_discs_and_paths_and_colours_cover_directions() -> None:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 from maesn.axes import TaskKeys
 from maesn.context import Latent
 from maesn.envs import AnyEnv
+from maesn.evaluation.adapting import adapt
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import new_tasks
 from maesn.experience.agent import Agents
@@ -39,7 +40,7 @@ logger = logging.getLogger(__name__)
 # between tasks, one would be no fair sample.
 EXPLORATION_EPISODES = 50
 EXPLORATION_TASKS = 5
-RECORDED_EPISODES = 150  # of those figures, about: for estimates of time
+RECORDED_EPISODES = 5150  # of the test tasks and of those figures, about: for estimates of time
 
 _EDGE = 6.0  # of the latents, in standard deviations of the prior: adapted ones are that far out
 _LATENTS = 441  # recorded paths: a lattice of 21 x 21 in the plane
@@ -50,10 +51,10 @@ _PLACES = 15  # along each axis at which beliefs predict rewards: three a cell o
 _MOMENTS = 60  # of a trial at which its belief is kept, at most
 
 
-def explore(agents: Agents, collect: Collector, keys: TaskKeys) -> np.ndarray:
-    """Play in the first tasks of a world; return paths, `[episode, time_plus_1, 2]`."""
+def explore(agents: Agents, collect: Collector, keys: TaskKeys) -> tuple[np.ndarray, np.ndarray]:
+    """Play in the first tasks of a world; return paths, `[episode, time_plus_1, 2]`, and z."""
     episodes = collect(keys, agents, jnp.arange(len(keys)) % collect.num_tasks)
-    return np.concatenate(_paths(collect.world.env, episodes))
+    return np.concatenate(_paths(collect.world.env, episodes)), np.concatenate(episodes.z)
 
 
 def _paths(env: AnyEnv, episodes: Episodes) -> Float[np.ndarray, "task episode time_plus_1 2"]:
@@ -83,10 +84,13 @@ def record_exploration(run: Run, path: Path) -> None:
     trained, untrained = (one.agents(one.init(keys)) for one in (old, new))
     with closing(run.world(tasks)) as world:
         collect = Collector(world, EXPLORATION_EPISODES // EXPLORATION_TASKS)
-        untrained_paths, prior_paths = (explore(x, collect, keys) for x in (untrained, trained))
+        untrained_paths, _ = explore(untrained, collect, keys)
+        prior_paths, prior_latents = explore(trained, collect, keys)
         fixed_paths = None
         if isinstance(trained.context, Latent):
-            fixed_paths = explore(trained.at_mean(), collect, keys)
+            fixed_paths, _ = explore(trained.at_mean(), collect, keys)
+        # As many episodes of every task as the trained policy's share of goals is counted among.
+        reach = adapt(new, Collector(world, EXPLORATION_EPISODES), episodes=0).explored
     goal, landmarks = jax.vmap(env.goal), jax.vmap(env.landmarks)
     recorded = RecordedExploration(
         training_goals=np.asarray(goal(run.training_tasks.tasks)),
@@ -94,9 +98,13 @@ def record_exploration(run: Run, path: Path) -> None:
         sparse_radius=env.sparse_radius,
         prior_paths=prior_paths,
         untrained_paths=untrained_paths,
+        untrained_success_rate=np.asarray(reach.success_rate[:, 0]),
+        solved_at_reset=np.asarray(reach.solved_at_reset[:, 0]),
+        episodes_per_task=EXPLORATION_EPISODES,
         training_landmarks=np.asarray(landmarks(run.training_tasks.tasks)),
         landmarks=np.asarray(landmarks(tasks.tasks)),
         fixed_paths=fixed_paths,
+        prior_latents=prior_latents,
     )
     # What a family or a method lacks is None, or has no elements.
     arrays = {name: one for name, one in vars(recorded).items() if one is not None and np.size(one)}

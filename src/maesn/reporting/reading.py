@@ -77,6 +77,16 @@ COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset"
 EXPLORE, DEPLOY = "explore", "deploy"
 
 
+def prior_reach(
+    success_rate: Float[np.ndarray, " task"], solved: Bool[np.ndarray, " task"], episodes: int
+) -> str:
+    """Say how many goals a policy reaches before it learns, of those not reached at reset."""
+    if solved.all():
+        return ""
+    share = (success_rate[~solved] > 0).mean()
+    return f"{share:.0%} of the goals in {count_of(episodes)}"
+
+
 def count_of(episodes: SupportsInt) -> str:
     """Return a number of episodes in words."""
     return "1 episode" if int(episodes) == 1 else f"{episodes} episodes"
@@ -133,6 +143,15 @@ class AdaptationTable:
         return np.asarray(solved.reshape(-1, self.num_tasks).any(axis=0))
 
     @property
+    def prior_reach(self) -> str:
+        """The share of goals that the first seed reaches from the prior; empty if unknown."""
+        episodes = self.about.get("episodes_per_update", self.episodes_per_update)
+        if episodes is None:
+            return ""
+        of_seeds = self.explored_success_rate[..., 0].reshape(-1, self.num_tasks)
+        return prior_reach(of_seeds[0], self.is_solved_at_reset, episodes)
+
+    @property
     def curves(self) -> dict[str, Any]:
         """All curves by name."""
         return {name: x for name, x in vars(self).items() if np.ndim(x) > 1}
@@ -163,6 +182,8 @@ def read_adaptation(path: Path) -> AdaptationTable:
         purposes = {row["purpose"] for row in rows}
         purpose = DEPLOY if DEPLOY in purposes else EXPLORE
         first = EXPLORE if EXPLORE in purposes else purpose  # where nothing is learned
+        if about and first != EXPLORE:
+            about |= {"episodes_per_update": about["deploy_episodes"]}
         explored, judged = (_grids(rows, one) for one in (first, purpose))
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error

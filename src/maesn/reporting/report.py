@@ -76,7 +76,13 @@ def plot_tasks(comparison: Comparison) -> Drawn | None:
 
 def plot_paths(comparison: Comparison) -> Drawn | None:
     """Draw what each run explores before adaptation; None if nothing was recorded."""
-    panels = [(line.style, record) for line, record in _recorded(comparison)]
+    panels = []
+    for line, record in _recorded(comparison):
+        # The share is over the goals and regions that are drawn.
+        has_goals = line.table.tasks == RECORDED_TASKS and line.num_tasks == len(record.goals)
+        has_regions = comparison.sparse_radius in (None, record.sparse_radius)
+        reach = line.table.prior_reach if has_goals and has_regions else ""
+        panels.append((line.style, record, reach))
     return exploration.plot_exploration(panels) if panels else None
 
 

@@ -91,7 +91,12 @@ class RecordedExploration:
     sparse_radius: float  # radius of a goal region
     prior_paths: Positions  # the trained policy before any adaptation
     untrained_paths: Positions  # a policy that was just initialised
-    fixed_paths: Positions | None = None  # with one latent; None for methods without latents
+    untrained_success_rate: Float[np.ndarray, " task"]  # share of its episodes that reach each goal
+    solved_at_reset: Float[np.ndarray, " task"]  # share of them that start there
+    episodes_per_task: int  # number of those episodes per task
+    # Episodes with one latent, and the latents of `prior_paths`; None for methods without latents.
+    fixed_paths: Positions | None = None
+    prior_latents: Float[np.ndarray, "episode z"] | None = None
     # Objects that tasks lay out beside their goals; None in a world of goals alone.
     training_landmarks: Float[np.ndarray, "row landmark 2"] | None = None
     landmarks: Float[np.ndarray, "task landmark 2"] | None = None

@@ -22,6 +22,7 @@ from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Bbox
 
 from maesn.reporting import style
+from maesn.reporting.reading import prior_reach
 from maesn.reporting.runs import Latents, Positions, RecordedExploration
 
 Points = Float[np.ndarray, "point 2"]
@@ -75,18 +76,24 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
 
 @style.publication_style()
 def plot_exploration(
-    explored: Sequence[tuple[style.MethodStyle, RecordedExploration]],
+    explored: Sequence[tuple[style.MethodStyle, RecordedExploration, str]],
 ) -> style.Drawn:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
-    The untrained policy is that of the first run. All are in one world.
+    Each method comes with its record and the share of goals that it reaches, in words; empty if
+    that was not counted. The untrained policy is that of the first run. All are in one world.
     """
     first = explored[0][1]
+    solved, episodes = first.solved_at_reset > 0, first.episodes_per_task
+    reach = prior_reach(first.untrained_success_rate, solved, episodes)
+    untrained = style.MethodStyle("untrained policy", style.BLACK)
     drawn = [
-        (textwrap.fill(look.label, _TITLE_CHARACTERS), record.prior_paths, look.colour)
-        for look, record in explored
+        (f"{textwrap.fill(look.label, _TITLE_CHARACTERS)}\n{said}".rstrip(), paths, look.colour)
+        for look, paths, said in (
+            *((look, record.prior_paths, said) for look, record, said in explored),
+            (untrained, first.untrained_paths, reach),
+        )
     ]
-    drawn.append(("untrained policy", first.untrained_paths, style.BLACK))
     return style.Drawn(_draw_explored(first, drawn))
 
 
