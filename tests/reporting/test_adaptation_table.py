@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, write_adaptation
+from synthetic_runs import NUM_TASKS, NUM_UPDATES, adaptation_table, columns, write_adaptation
 
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.running import adaptation_file
