@@ -14,7 +14,7 @@ ATTEMPTS = {
     "kills": 10,
     "mutated files": 120,
     "disks": 10,
-    "runtime calls": 20,
+    "runtime calls": 8,
 }
 
 

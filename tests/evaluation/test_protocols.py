@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_runs import finish, tiny_maesn, tiny_settings
+from small_runs import tiny_maesn, tiny_settings
 
 from maesn import cli
 from maesn.api import adapt
@@ -28,7 +28,7 @@ ML1 = "metaworld-ml1"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     directory = tmp_path_factory.mktemp("protocols") / "run"
-    return finish(Run.create(directory, tiny_maesn(), tiny_settings()), 1)
+    return Run.create(directory, tiny_maesn(), tiny_settings())
 
 
 def test_the_protocol_of_ml1_is_that_of_meta_world(run: Run) -> None:

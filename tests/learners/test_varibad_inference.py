@@ -4,6 +4,7 @@ import itertools
 from functools import cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -108,7 +109,7 @@ LIKELIHOODS = [
 @pytest.mark.parametrize("settings", LIKELIHOODS)
 def test_the_loss_equals_loops_over_prefixes_and_steps(settings: BeliefDecoderSettings) -> None:
     decoder, inference = settings.init(jax.random.key(1), LATENT, 2, ACTION), BeliefInference(0.3)
-    loss, info = inference.loss(encoder(), settings, decoder, trial(), draws())
+    loss, info = eqx.filter_jit(inference.loss)(encoder(), settings, decoder, trial(), draws())
     expected, elbo = reference_loss(settings, decoder, inference, trial(), draws())
     assert float(loss) == pytest.approx(expected, rel=1e-5)
     assert float(info.elbo) == pytest.approx(elbo, rel=1e-5)
@@ -183,16 +184,19 @@ def test_the_bound_falls_short_of_the_evidence_by_the_divergence_from_the_true_p
     prior = np.exp(-(m**2) / 2)
     prior /= prior.sum()
     mean_bound = 0.0
-    for rewards in sequences():
-        steps = pulls(rewards)
-        q = one.posteriors(steps)
 
-        def reconstruction(node: Any, steps: Steps = steps) -> Any:
+    @jax.jit
+    def believed(steps: Steps) -> Any:
+        def reconstruction(node: Any) -> Any:
             drawn = Draws(jnp.full((PULLS + 1, 1), node), jnp.arange(1), jnp.arange(PULLS))
             return BeliefInference().loss(one, settings, decoder, steps, drawn)[1].reconstruction
 
-        expected = np.asarray(jax.vmap(reconstruction)(jnp.asarray(nodes, float)))
-        bound = -(weights @ expected) - float(q.kl(previous(q))[0])
+        q = one.posteriors(steps)
+        return q, q.kl(previous(q))[0], jax.vmap(reconstruction)(jnp.asarray(nodes, float))
+
+    for rewards in sequences():
+        q, divergence, expected = believed(pulls(rewards))
+        bound = -(weights @ np.asarray(expected)) - float(divergence)
         likelihood = np.prod(np.where(rewards > 0, paid[:, None], 1 - paid[:, None]), axis=1)
         evidence = (prior * likelihood).sum()
         q_0 = np.exp(-((m - float(q.mean[0, 0])) ** 2) / (2 * np.exp(2 * float(q.log_std[0, 0]))))

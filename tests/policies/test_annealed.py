@@ -50,7 +50,7 @@ def one_step(policy: AnnealedGaussianMLP | GaussianMLP, iteration: int) -> Gradi
 
 
 def test_a_meta_iteration_ends_within_the_bound_and_is_the_usual_one_else() -> None:
-    limited, usual = (one_step(policy, 14) for policy in (SETTINGS, SETTINGS.network))
+    limited, usual = (one_step(SETTINGS, iteration) for iteration in (14, 5))
     np.testing.assert_allclose(np.exp(limited.parameters.policy.log_std), 0.5, rtol=1e-6)
     assert (np.exp(usual.parameters.policy.log_std) > 0.9).all()
     for found, wanted in zip(

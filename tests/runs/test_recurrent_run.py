@@ -4,7 +4,7 @@ import csv
 from pathlib import Path
 
 import pytest
-from small_runs import create, finish
+from small_runs import create
 
 from maesn import ProximalStep, RecurrentMetaLearner, RecurrentValue, api, rl2
 from maesn.numerics import MinibatchDescent
@@ -24,8 +24,7 @@ def tiny() -> RecurrentMetaLearner:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run = finish(create(tmp_path_factory.mktemp("runs") / "whole", tiny(), iterations=3))
-    return run.directory
+    return create(tmp_path_factory.mktemp("runs") / "whole", tiny(), iterations=3).directory
 
 
 def test_in_new_tasks_an_update_is_one_more_episode(trained: Path) -> None:

@@ -25,6 +25,7 @@ from maesn.runs.checkpoint import read_checkpoint, save_checkpoint
 from maesn.runs.run import Run
 from maesn.runtime import Explorer, facts
 from maesn.runtime.return_model import NOMINAL
+from maesn.search import stored
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import read_prior, run_prior
 from maesn.storage import RunError
@@ -123,8 +124,13 @@ def test_tasks_do_not_depend_on_how_many_there_are(trained: Path, few: str, tmp_
 
 
 def test_a_missing_prior_is_made_and_said(
-    few: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    few: str,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # Twenty searches, which the fixture `trained` does with three.
+    monkeypatch.setattr(stored, "calibrated", lambda prior, *_: prior)
     learner = latent_space(policy=GaussianMLP((8,)), meta_batch_size=2)
     run = Run.create(tmp_path / "run", learner, tiny_settings())
     path = run.directory / FILE
@@ -261,8 +267,8 @@ def test_the_latent_explores_and_not_the_actions_unless_that_is_asked_for(
         return play(self, keys, agents, *more)
 
     run = shutil.copytree(trained, tmp_path / "run")
-    noise = ["--action-noise", str(action_noise)]
-    assert cli.run(["prior", str(run), *SMALL, *noise]) == 0
+    if rule is not None and action_noise:  # the run has a prior without noise
+        assert cli.run(["prior", str(run), *SMALL, "--action-noise", "True"]) == 0
     monkeypatch.setattr(Collector, "__call__", watched)
     ask = Evaluation(few, rule=rule, episodes=2, episodes_per_update=2, deploy_episodes=3)
     ask = ask.changed(action_noise=action_noise)

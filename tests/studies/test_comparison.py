@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from inline_executor import Here
-from small_runs import create, finish, tiny_maesn
+from small_runs import create, tiny_maesn
 
 from maesn import cli, oracle
 from maesn.envs.sources import resolve_family
@@ -27,7 +27,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     made = {
         "maesn": create(place / "maesn", tiny_maesn()),
         "again": create(place / "again", tiny_maesn(), seed=1),
-        "oracle": finish(create(place / "oracle", oracle(**SMALL), iterations=2)),
+        "oracle": create(place / "oracle", oracle(**SMALL), iterations=2),
     }
     return {name: run.directory for name, run in made.items()}
 

@@ -110,6 +110,7 @@ def status(study: Study, out: Path) -> dict[str, str]:
     return {name: execution.status(job)[0] for name, job in execution.jobs.items()}
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
     executor = Watched()
     done = Study(SMALL).run(tmp_path, executor=executor)
@@ -171,6 +172,7 @@ def test_figures_of_exploration_are_drawn_from_what_a_job_recorded(
     assert not list(done.directory.rglob("*.latents.npz"))
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_what_was_pruned_is_computed_again_only_where_no_table_has_it(tmp_path: Path) -> None:
     study, jobs, executor = Study(SMALL), tmp_path / "jobs", Watched()
     done = study.run(tmp_path, executor=Here())
@@ -206,6 +208,7 @@ def test_what_was_pruned_is_computed_again_only_where_no_table_has_it(tmp_path: 
         repeat(run.parent, iterations=2)
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_a_figure_can_show_one_of_several_evaluations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -269,6 +272,7 @@ def test_a_job_whose_process_was_killed_does_not_run(tmp_path: Path) -> None:
     assert Execution({job.name: job}, tmp_path).status(job) == ("waiting", "")
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
     said: list[str] = []
     executor = Watched({"train": 2})
@@ -277,6 +281,7 @@ def test_what_failed_by_accident_is_tried_again(tmp_path: Path) -> None:
     assert sum("again: train" in sentence for sentence in said) == 2
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_what_does_not_depend_on_a_failed_job_goes_on(tmp_path: Path) -> None:
     spec = dataclasses.replace(SMALL, scratch={"reinforce": ScratchSpec("reinforce")})
     study, executor = Study(spec), Watched({"train": 3})
@@ -344,6 +349,7 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
     assert '`if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_one_job_of_an_array(tmp_path: Path) -> None:
     study = Study(SMALL)
     train, *others = study.jobs

@@ -172,8 +172,7 @@ def test_commands_take_the_interpreter_and_runs_do_not_name_it(
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     family = ["--family", "there_family:family"]
-    small = ["--meta-batch-size", "2", "--episodes-per-task", "2", "--policy.hidden-sizes", "8"]
-    train = ["train", "maesn", "--run", "run", "--iterations", "1", *small, *family]
+    train = ["train", "walk:Walk", "--run", "run", "--iterations", "1", *family]
     assert cli.run([*train, "--python", str(python)]) == 0
     assert cli.run(["resume", "run", "--iterations", "2", f"--python={python}", *family]) == 0
     assert len(metrics(Run.open("run", "there_family:family"))) == 2
