@@ -33,6 +33,8 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     [
         ("trian", "Did you mean `train`?"),
         ("train measn", "`maesn`"),
+        ("train maesn --settings", "`settings`"),
+        ("train maesn --settings wrong", "`settings`"),
         ("train maesn --family weeled", "`wheeled`"),
         ("train maesn --family ..:x", "`..:x`"),
         ("train maesn --family {}:x", "`family`"),

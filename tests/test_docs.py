@@ -14,7 +14,7 @@ from pages import PAGES, ROOT, blocks_of, commands_in, commands_of, name_of, pro
 
 import maesn
 from maesn import cli
-from maesn.commands import options, train
+from maesn.commands import options
 from maesn.learners.gradient.info import GradientInfo, GroupShares
 from maesn.learners.gradient.outer import FirstOrderInfo
 from maesn.learners.pearl.meta_learner import PearlInfo
@@ -103,8 +103,8 @@ def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
 def test_every_command_can_be_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Guide("own_rule.md", "my_rules").write(tmp_path)  # named by options, which import it
     monkeypatch.syspath_prepend(tmp_path)
-    for module in (options, train):  # what follows the reading of options
-        monkeypatch.setattr(module, "enable_compilation_cache", lambda: sys.exit(UNDERSTOOD))
+    # What follows the reading of options.
+    monkeypatch.setattr(options, "enable_compilation_cache", lambda: sys.exit(UNDERSTOOD))
     # Results keep the commands of their time.
     pages = [page for page in PAGES if not page.is_relative_to(ROOT / "results")]
     commands = [(name_of(page), words) for page in pages for words in commands_of(page)]

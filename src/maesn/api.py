@@ -45,6 +45,9 @@ def train(
 ) -> Run:
     """Meta-train in a new run directory, with a live display.
 
+    The command begins with the settings that were found to work on the family, where they are
+    known; with `--settings reference`, with the published ones. A method of your own has its own.
+
     Args:
         learner: the method and its settings; see `maesn.PRESETS`.
         settings: of the run.
@@ -65,11 +68,12 @@ def train(
     """
     request_devices(devices)
     # Actions are choices in some families: nobody should have to say so.
-    env = make_env(family or resolve_family(settings.family), settings)
+    named = settings.family if family is None else family.name
+    env = make_env(family or resolve_family(named), settings)
     learner = learner.for_actions(env.action_kind)
     if directory is None:
-        named = (settings.method or method_name(learner), settings.family)
-        words = (in_files(name.rpartition(":")[2] if is_own(name) else name) for name in named)
+        names = (settings.own_method or method_name(learner), named)
+        words = (in_files(name.rpartition(":")[2] if is_own(name) else name) for name in names)
         directory = Path("runs") / "-".join([*words, str(settings.seed)])
     with sharing(devices, learner.tasks_for_cores):
         run = Run.create(directory, learner, settings, family=family, init_from=init_from)

@@ -33,8 +33,8 @@ from strangers import (
 
 from maesn.envs.foreign import gymnasium_family
 from maesn.envs.hosted import task_row
-from maesn.evaluation.exporting import probe_actuators
 from maesn.foreign import InterfaceError
+from maesn.runs.probing import probe_actuators
 from maesn.worlds import EnvContractError, check_env_contract, make_world
 
 

@@ -60,6 +60,19 @@ def test_each_latent_has_the_path_of_an_episode(run: Run) -> None:
 
 def test_searches_are_those_of_the_rule(run: Run) -> None:
     recorded = np.load(run.directory / SEARCHES)
+    assert {name: recorded[name].shape for name in recorded} == {
+        "task": (8,),
+        "edge": (),
+        "played": (8, 10, 2),
+        "returns": (8, 10),
+        "reached": (8, 10),
+        "paths": (8, 10, 40, 2),
+        "deployed": (8, 11, 2),
+        "mean": (8, 11, 21, 21),
+        "std": (8, 11, 21, 21),
+        "interval": (8, 11, 2),
+        "familiar": (8, 11),
+    }
     with closing(run.world(reward_kind="sparse")) as world:
         prior = find_prior(run, run.latest_state(), world.env, action_noise=False)
     model = SearchRule().settings.model(prior)
@@ -68,7 +81,6 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     np.testing.assert_allclose(
         recorded["deployed"][:, 0], np.tile(first.points[np.argmax(means)], (8, 1)), atol=1e-5
     )
-    assert recorded["mean"].shape == recorded["std"].shape == (8, 11, 21, 21)
     assert (recorded["std"] >= 0).all()
     # Beliefs are those of the model at the corners of the square.
     corner = np.array([[-recorded["edge"], -recorded["edge"]]])
@@ -112,8 +124,15 @@ def test_a_belief_is_that_of_the_agent_and_predicts_cell_by_cell(tmp_path: Path)
         )
     exploration.record_belief(made)
     recorded = np.load(made.directory / BELIEF)
-    assert recorded["predicted"].shape == (31, 15, 15)
-    assert recorded["paths"].shape == (2, 16, 2)
+    assert {name: recorded[name].shape for name in recorded} == {
+        "task": (),
+        "step": (31,),
+        "mean": (31, 5),
+        "std": (31, 5),
+        "predicted": (31, 15, 15),
+        "corners": (2, 2),
+        "paths": (2, 16, 2),
+    }
     np.testing.assert_array_equal(recorded["corners"], [[-0.5, -0.5], [4.5, 4.5]])
     # Three by three places share a cell.
     np.testing.assert_array_equal(

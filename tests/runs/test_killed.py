@@ -68,6 +68,7 @@ def test_a_run_whose_programs_are_optimised_and_read_from_the_cache_goes_on(
     assert "KeyboardInterrupt" in said
     # Ctrl-C has saved the very last iteration, whatever `checkpoint_every` says.
     assert killed.latest().iteration == len(metrics(killed)) < ITERATIONS
+    assert any((tmp_path / "cache").iterdir())
     assert trained(killed)[0] == 0
     assert outcome(whole) == outcome(killed)
     assert metrics(killed)[-1]["environment_steps"] == ITERATIONS * STEPS_PER_ITERATION

@@ -7,11 +7,13 @@ import jax
 import pytest
 from small_runs import create_tiny, tensors, tiny_maesn, tiny_settings
 
-from maesn import cli
+from maesn import api, cli
 from maesn.context import LatentContext
 from maesn.envs import FAMILIES
+from maesn.envs.sources import resolve_family
 from maesn.learners import PRESETS
 from maesn.policies import CategoricalMLP
+from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
 from maesn.storage import LOCK, RunError
 
@@ -77,6 +79,16 @@ def test_the_command_gives_policies_that_choose_where_that_is_needed(tmp_path: P
     rl2 = ["train", "rl2", "--family", BANDIT, "--iterations", "0", "--policy.hidden-size", "4"]
     assert cli.run([*rl2, "--run", str(tmp_path / "rl2")]) == 0
     assert Run.open(tmp_path / "rl2", BANDIT).learner.policy.action_kind == "discrete"
+
+
+def test_a_run_without_a_directory_is_named_by_method_family_and_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    family = resolve_family(BANDIT)
+    made = api.train(tiny_maesn(), RunSettings(method="rl2", iterations=0, seed=3), family=family)
+    assert made.directory == Path("runs/maesn-bandit-3")
+    assert isinstance(made.learner.policy, CategoricalMLP)
 
 
 def test_trials_that_are_too_few_for_the_minibatches_are_refused(tmp_path: Path) -> None:

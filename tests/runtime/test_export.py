@@ -15,11 +15,12 @@ from runtime.robot import fast_learner
 from maesn import cli
 from maesn.context import LatentContext
 from maesn.envs import AnyEnv, Point
-from maesn.evaluation.exporting import exported_policy, probe_actuators
+from maesn.evaluation.exporting import exported_policy
 from maesn.inner.adaptation import Adaptation, InnerStep
 from maesn.inner.advantage import AdvantageEstimator
 from maesn.learners import PRESETS, Problem
 from maesn.policies import GaussianMLP
+from maesn.runs.probing import probe_actuators
 
 
 def preset(name: str, **settings: Any) -> Any:

@@ -29,12 +29,15 @@ tyro._strings.remove_single_line_breaks = _one_line_paragraphs  # noqa: SLF001
 
 
 def command(
-    function: Callable[..., Any], show: Callable[[Any], None] = lambda _: None, **defaults: Any
+    function: Callable[..., Any],
+    show: Callable[[Any], None] = lambda _: None,
+    name: str = "",
+    **defaults: Any,
 ) -> Callable[[list[str]], None]:
     """Make a command of a function, and show what it returns.
 
-    Its parameters are the options, its docstring is the help. They have other defaults where these
-    are given; `--protocol` decides those of an evaluation.
+    Its parameters are the options, its docstring is the help. Those that are
+    given other defaults come first; `--protocol` decides the defaults of an evaluation.
     """
 
     @functools.wraps(function)
@@ -44,9 +47,10 @@ def command(
     del bound.__wrapped__  # tyro would read its docstring
     bound.__doc__ = re.sub(r"\n {5,}", " ", inspect.getdoc(function) or "")  # each argument a line
     signature = inspect.signature(function)
+    listed = {one: signature.parameters[one] for one in defaults} | signature.parameters
     named = [
         one.replace(default=defaults.get(one.name, one.default))
-        for one in signature.parameters.values()
+        for one in listed.values()
         if one.kind is not one.VAR_KEYWORD
     ]
 
@@ -56,7 +60,7 @@ def command(
         with refusals():  # of a setting that cannot be; tyro reports those of nested ones
             run = tyro.cli(
                 bound,
-                prog=f"maesn {function.__name__}",
+                prog=f"maesn {name or function.__name__}",
                 args=arguments,
                 config=_CONFIGURATION,
             )

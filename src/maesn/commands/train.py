@@ -36,8 +36,10 @@ def train(arguments: list[str]) -> None:
         )
     found, rest = read_first(rest, "settings")
     family = read_first(rest, "family")[0].family or RunSettings().family
-    learner, settings = usual(method, family, found.settings or "recommended")
-    command(api.train, say_what_is_next, learner=learner, settings=settings)(rest)
+    which = "recommended" if found.settings is None else found.settings
+    learner, settings = usual(method, family, which)
+    named = f"train {method}"
+    command(api.train, say_what_is_next, named, settings=settings, learner=learner)(rest)
 
 
 def usual(

@@ -66,7 +66,7 @@ def _wrappers(
     """Return what the command line adds to a rule.
 
     Args:
-        then: Fine-tuning of the weights: trpo or reinforce, as in `--then trpo after=500`.
+        then: Fine-tuning of the weights, as in `--then trpo after=500`.
         bonus: A bonus on the rewards, as in `--bonus vime curiosity.weight=0.001`.
     """
     return tuple(one for one in (then, bonus) if one is not None)

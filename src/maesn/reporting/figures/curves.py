@@ -115,7 +115,7 @@ def learning_charts(series: Sequence[Series]) -> dict[str, list[Chart]]:
 def belief_chart(belief: Mapping[str, Any]) -> Chart:
     """Return the posterior's mean over a trial, a line and a band of ± its spread a component."""
     colours = [style.colour for style in METHOD_STYLES.values()]
-    means, stds = (np.array(belief[name]).T for name in ("mean", "std"))
+    means, stds = (np.array(belief[name], float).T for name in ("mean", "std"))
     curves = [
         Curve(MethodStyle(f"m{n}", colour, "-", ""), belief["step"], mean, mean - std, mean + std)
         for n, (mean, std, colour) in enumerate(zip(means, stds, cycle(colours)), start=1)
