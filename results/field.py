@@ -51,7 +51,7 @@ SHOWN = {
 }
 ORACLE, FLOOR = "oracle", "baseline"
 COSTS = ("seeds", "steps (M)", "minutes", "seconds")  # of training; of a meta-iteration
-_PANELS = 4  # in a row
+_PANELS = 3  # in a row
 LEGEND = """\
 Columns are numbers of episodes in a new task before the ones that are judged. ± is half the 95 %
 interval over tasks and seeds; of a published number, the spread that its source gives. Success and
@@ -291,18 +291,14 @@ def _gap(first: Returns, second: Returns) -> statistics.Interval:
 
 @style.publication_style()
 def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
-    """Draw a panel for each family whose lines of the figure all have results, if there is one.
+    """Draw a panel for each family in which a search has results, if there is one.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
     """
-    compared = {
-        name: [one for one in lines if one.seeds[0]["line"] in SHOWN]
-        for name, lines in tables.items()
-    }
     shown = {
-        name: tables[name]
-        for name, lines in compared.items()
-        if lines and all(one.cells for one in lines)
+        name: lines
+        for name, lines in tables.items()
+        if any(one.cells for one in lines if one.seeds[0]["line"] == SEARCH)
     }
     if not shown:
         return
@@ -318,7 +314,8 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
         known |= zip(labels, handles, strict=True)
     for axes in panels[len(shown) :]:
         axes.set_axis_off()
-    panels[0].set_ylabel("return")
+    for axes in panels[::_PANELS]:
+        axes.set_ylabel("return")
     drawn.legend(known.values(), known.keys(), loc="outside lower center", ncols=_PANELS)
     style.settle(drawn)
     drawn.savefig(FIGURES / "field.png")
