@@ -123,6 +123,7 @@ def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
         return files
 
     monkeypatch.setattr("maesn.reporting.report.save_figure", touch)
+    monkeypatch.setattr("maesn.reporting.page.rendered", lambda *_: b"<svg/>")  # its charts
 
 
 @pytest.fixture

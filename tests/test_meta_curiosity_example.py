@@ -26,12 +26,13 @@ SMALL = maesn.CuriosityBonus(
 )
 NAME = "meta_curiosity:WithCuriosity"
 TASKS = 3
+PROBLEM = Problem(2, 2, 100)
 
 
 @pytest.fixture(scope="module")
 def collect() -> Collector:
-    env = point.make_env(reward_kind="sparse", horizon=8)
-    return Collector(make_world(env, point.task_set("training", size=5)), 4)
+    # As in the run below, so that they share compiled programs.
+    return Collector(make_world(point.make_env(), point.task_set("training")), 3)
 
 
 def tiny() -> Any:
@@ -40,7 +41,7 @@ def tiny() -> Any:
 
 def test_it_learns_from_reward_and_bonus(collect: Collector) -> None:
     learner = WithCuriosity(tiny(), replace(SMALL, pool_size=200, weight=10.0))
-    state = learner.init(jax.random.key(0), Problem(2, 2, 5))
+    state = learner.init(jax.random.key(0), PROBLEM)
     for step in range(4):
         state, info = learner.step(jax.random.key(step), state, collect)
         # As long as the model has learned nothing, there is no bonus.
@@ -55,7 +56,7 @@ def test_it_learns_from_reward_and_bonus(collect: Collector) -> None:
 
 def test_with_a_weight_of_0_it_is_the_learner_itself(collect: Collector) -> None:
     wrapped, key = WithCuriosity(tiny(), replace(SMALL, weight=0.0)), jax.random.key(7)
-    state = wrapped.init(jax.random.key(0), Problem(2, 2, 5))
+    state = wrapped.init(jax.random.key(0), PROBLEM)
     after, info = tiny().step(jax.random.split(key, 3)[0], state.learner, collect)
     together, said = wrapped.step(key, state, collect)
     for one, other in zip(*map(jax.tree.leaves, (after, together.learner)), strict=True):
@@ -67,7 +68,7 @@ def test_with_a_weight_of_0_it_is_the_learner_itself(collect: Collector) -> None
 
 def test_the_model_of_the_dynamics_passes_on_to_new_tasks(collect: Collector) -> None:
     learner = WithCuriosity(tiny(), SMALL)
-    begun = learner.init(jax.random.key(0), Problem(2, 2, 5))
+    begun = learner.init(jax.random.key(0), PROBLEM)
     state, _ = learner.step(jax.random.key(1), begun, collect)
     fast = learner.fast_learner(state)
     assert (fast.observation_size, fast.action_size) == (2, 2)
@@ -90,7 +91,8 @@ def test_it_is_trained_resumed_and_adapted_by_its_name(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     small = "--episodes-per-task 3 --learner.meta-batch-size 2 --learner.policy.hidden-sizes 4"
-    own = "--curiosity.updates 2 --curiosity.weight 0.5"
+    own = "--curiosity.hidden-sizes 4 --curiosity.updates 5 --curiosity.weight 10"
+    own += " --curiosity.pool-size 200 --curiosity.pool-additions 20 --curiosity.samples 2"
     for run, iterations in (("whole", 2), ("parts", 1)):
         words = f"train {NAME} --family point --iterations {iterations} --run {run} {small} {own}"
         assert cli.run(words.split()) == 0
@@ -99,8 +101,8 @@ def test_it_is_trained_resumed_and_adapted_by_its_name(
     assert metrics[0] == metrics[1]
     assert "curiosity/bonus" in metrics[0]
     run = maesn.Run.open("parts", method=NAME)
-    assert (run.settings.method, run.learner.curiosity.weight) == (NAME, 0.5)
-    few = {"num_tasks": 2, "episodes": 6, "episodes_per_update": 3}
+    assert (run.settings.method, run.learner.curiosity.weight) == (NAME, 10.0)
+    few = {"num_tasks": 2, "episodes": 6, "episodes_per_update": 3, "reward": "dense"}
     assert np.isfinite(maesn.adapt(run, **few).curves.mean_return).all()
     with pytest.raises(maesn.RunError, match="must not have a bonus already"):
         maesn.adapt(run, wrappers=(maesn.VimeBonus(),), **few)

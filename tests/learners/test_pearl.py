@@ -1,7 +1,7 @@
 """PEARL: its replay, its meta-iterations, new tasks, and what it is refused."""
 
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from learning_problems.watching import EPISODES, TASKS, Watching
-from small_runs import create, finish
 
 from maesn import PearlMetaLearner, pearl
 from maesn.context import Latent
@@ -119,10 +118,18 @@ def test_a_meta_iteration_visits_infers_and_learns() -> None:
     assert float(again.losses.q) != float(info.losses.q)
 
 
+class Loud(Watching):
+    """Rewards are so large that a critic's loss is not finite."""
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        episodes = super().__call__(*arguments, **named)
+        return replace(episodes, reward=1e30 * episodes.reward)
+
+
 def test_networks_that_are_not_finite_are_not_taken() -> None:
-    learner = small(sac=SoftActorCritic((5,), batch_size=7, reward_scale=1e30))
+    learner = small()
     before = learner.init(jax.random.key(0), PROBLEM)
-    after, info = learner.step(jax.random.key(1), before, Watching())
+    after, info = learner.step(jax.random.key(1), before, Loud())
     assert not bool(info.accepted)
     for old, new in zip(*map(jax.tree.leaves, (before.networks, after.networks)), strict=True):
         np.testing.assert_array_equal(old, new)
@@ -181,20 +188,6 @@ def test_a_search_may_set_its_latent() -> None:
 
 def tiny(**settings: Any) -> PearlMetaLearner:
     return small(**{"replay_steps": 600, "initial_tasks": 2} | settings)
-
-
-def test_the_context_may_show_sparse_reward_while_training_learns_from_dense(
-    tmp_path: Path,
-) -> None:
-    run = finish(create(tmp_path / "run", tiny(context_reward="sparse")), iterations=1)
-    replay = run.latest_state().replay
-    rows = replay.rings.rows
-    is_row = np.asarray(rows.reward) != 0
-    assert (np.asarray(rows.reward)[is_row] < -1).all()
-    # Far from the goal the context shows the same in all tasks, but for the cost of control.
-    cost = -0.05 * (np.clip(np.asarray(rows.action), -1, 1) ** 2).sum(-1)
-    expected = run.env().uninformative_reward + cost[is_row]
-    np.testing.assert_allclose(np.asarray(rows.context_reward)[is_row], expected, atol=1e-5)
 
 
 # What is refused.

@@ -12,10 +12,13 @@ from small_runs import create, finish, metrics, outcome, reopened, tensors
 
 from maesn.numerics.mesh import sharing_tasks
 from maesn.runs.checkpoint import REPLAY, digest_of_arrays, read_checkpoint, save_checkpoint
+from maesn.runs.run import Run
 
 LEARNERS = {
-    "rings": test_pearl.tiny(),
-    "buffer": test_varibad.small(bonus=test_varibad.ALL, trial_episodes=2),
+    "rings": test_pearl.tiny(context_reward="sparse"),
+    "buffer": test_varibad.small(
+        bonus=test_varibad.ALL, trial_episodes=2, observed_reward="sparse"
+    ),
 }
 every_learner = pytest.mark.parametrize(("held", "learner"), LEARNERS.items())
 
@@ -34,6 +37,23 @@ def test_an_interrupted_run_is_the_same_and_its_newest_checkpoint_alone_has_repl
     in_replay = ("optimisers/", "replay/") if held == "rings" else ("buffer/",)
     assert not [x for x in tensors(whole.checkpoints()[-1]) if x.startswith(in_replay)]
     assert metrics(whole)[-1]["environment_steps"] == learner.planned_episodes(3, 4) * 40
+    assert_what_is_inferred_from_shows_sparse_reward(held, whole)
+
+
+def assert_what_is_inferred_from_shows_sparse_reward(held: str, run: Run) -> None:
+    """Far from the goal it is the same in all tasks but for the cost of control."""
+    state = run.latest_state()
+    if held == "rings":
+        rows = state.replay.rings.rows
+        is_row = np.asarray(rows.reward) != 0
+        # The critics learn from the dense one.
+        assert (np.asarray(rows.reward)[is_row] < -1).mean() > 0.9
+        action, shown = np.asarray(rows.action)[is_row], np.asarray(rows.context_reward)[is_row]
+    else:
+        steps = state.buffer.sample(jax.random.key(0), 10)
+        action, shown = np.asarray(steps.action), np.asarray(steps.reward)
+    cost = -0.05 * (np.clip(action, -1, 1) ** 2).sum(-1)
+    np.testing.assert_allclose(shown, run.env().uninformative_reward + cost, atol=1e-5)
 
 
 @every_learner

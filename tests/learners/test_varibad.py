@@ -3,7 +3,6 @@
 import logging
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 from learning_problems.probes import HiddenSide
 from learning_problems.watching import EPISODES, TASKS, Watching
-from small_runs import create, finish
 
 from maesn import (
     BeliefDecoderSettings,
@@ -225,18 +223,6 @@ def test_in_a_new_task_it_acts_without_noise_and_its_belief_goes_on() -> None:
     for later, before in zip(collect.played[1:], collect.played, strict=False):
         for x, y in zip(*map(jax.tree.leaves, (later.trial_start, before.trial_end)), strict=True):
             np.testing.assert_array_equal(x, y)
-
-
-def test_the_belief_may_see_sparse_reward_while_the_policy_learns_from_dense(
-    tmp_path: Path,
-) -> None:
-    learner = small(observed_reward="sparse")
-    run = finish(create(tmp_path / "run", learner), iterations=1)
-    steps = run.latest_state().buffer.sample(jax.random.key(0), 10)
-    # Far from the goal the belief sees the same in all tasks, but for the cost of control.
-    cost = -0.05 * (np.clip(np.asarray(steps.action), -1, 1) ** 2).sum(-1)
-    expected = run.env().uninformative_reward + cost
-    np.testing.assert_allclose(np.asarray(steps.reward), expected, atol=1e-5)
 
 
 # What is refused.

@@ -123,11 +123,11 @@ def pad(episodes: list[Episode], garbage: float = 0.0) -> Episodes:
         goal_reward=padded([e.reward for e in episodes]),
         valid=valid,
         # Garbage as well: nothing is solved in the valid steps.
-        solved=jnp.zeros_like(valid) if garbage == 0 else ~valid,
-        solved_at_start=jnp.zeros(len(lengths), bool),
+        solved=jnp.asarray(np.asarray(valid) & False if garbage == 0 else ~np.asarray(valid)),
+        solved_at_start=jnp.asarray(np.zeros(len(lengths), bool)),
         terminated=jnp.asarray(lengths < HORIZON),
         noise=jnp.asarray(np.stack([e.noise for e in episodes]), dtype=float),
-        description=jnp.zeros((len(episodes), 0)),
+        description=jnp.asarray(np.zeros((len(episodes), 0)), float),
         z=jnp.asarray(np.stack([e.latent for e in episodes]), dtype=float),
         behaviour=DiagonalGaussian(
             padded([e.mean for e in episodes]), padded([e.log_std for e in episodes])
@@ -139,7 +139,8 @@ def pad(episodes: list[Episode], garbage: float = 0.0) -> Episodes:
 def stack(batch: list[list[Episode]], garbage: float = 0.0) -> Episodes:
     """Give a batch of tasks the library's form, `[task, episode, ...]`."""
     tasks = [pad(episodes, garbage) for episodes in batch]
-    return jax.tree.map(lambda *arrays: jnp.stack(arrays), *tasks)
+    # By NumPy, which compiles nothing.
+    return jax.tree.map(lambda *arrays: jnp.asarray(np.stack(arrays)), *tasks)
 
 
 @dataclass

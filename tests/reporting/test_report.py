@@ -24,6 +24,7 @@ def draw(directories: list[Path], out: Path) -> set[str]:
     return names
 
 
+@pytest.mark.usefixtures("figures_unsaved")
 def test_one_run_gives_every_figure(tmp_path: Path) -> None:
     names = draw([write_run(tmp_path / "run")], tmp_path / "run" / "figures")
     of_comparison = ("curves", "tasks", "exploration", "noise", "latents")

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from small_runs import finish, metrics, tensors, tiny_maesn, tiny_settings
 from strangers import HORIZON, draw_walks, make_fragile, make_walker
+from synthetic_runs import learning_curve, write_metrics
 
 from maesn import rl2
 from maesn.api import adapt, report
@@ -53,7 +54,8 @@ def test_after_a_failure_the_checkpoint_is_good_and_the_run_goes_on(tmp_path: Pa
 @pytest.mark.usefixtures("figures_unsaved")
 def test_figures_that_need_positions_are_left_out(tmp_path: Path) -> None:
     family = fragile(tmp_path / "health", max_environments=40)
-    run = finish(new_run(tmp_path / "run", family), 1)
+    run = new_run(tmp_path / "run", family)
+    write_metrics(run.directory / "metrics.jsonl", learning_curve())
     # In more tasks than there may be environments: forty at a time.
     assert adapt(run, episodes=0, episodes_per_update=1).curves.mean_return.shape == (100, 1)
     names = {path.name for path in report([run.directory], family=family).files}

@@ -174,7 +174,7 @@ def test_there_is_no_such_study(tmp_path: Path) -> None:
         read_study("papre")
 
 
-LARGE = ("field", "paper")
+LARGE = ("ablation", "field", "paper")
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     def replay(self, state: VaribadState) -> Ring:
         return state.buffer
 
+    @eqx.filter_jit
     def belief(
         self,
         state: VaribadState,
