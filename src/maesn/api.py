@@ -39,6 +39,7 @@ def train(
     directory: Annotated[arguments.OptionalPath, arg(name="run")] = None,
     *,
     init_from: arguments.OptionalPath = None,
+    # On the command line `--family` is that of the settings.
     family: Annotated[TaskFamily | None, Suppress, arg(name="own-family")] = None,
     keep: int = KEEP,
     devices: int | None = None,

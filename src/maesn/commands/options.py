@@ -36,8 +36,9 @@ def command(
 ) -> Callable[[list[str]], None]:
     """Make a command of a function, and show what it returns.
 
-    Its parameters are the options, its docstring is the help. Those that are
-    given other defaults come first; `--protocol` decides the defaults of an evaluation.
+    Its parameters are the options, its docstring is the help. `defaults` take the place of its own,
+    and their options come first; `--protocol` decides the defaults of an evaluation. Messages call
+    the command by `name`, if not by that of the function.
     """
 
     @functools.wraps(function)
