@@ -4,8 +4,11 @@ The source directory is that of the repository, so that pages can link to the re
 lead to the same places on the site and in the repository.
 """
 
+import shutil
 import sys
 from pathlib import Path
+
+from sphinx.application import Sphinx
 
 from maesn import __version__
 
@@ -38,7 +41,18 @@ suppress_warnings = ["myst.header"]  # tables that a program has written begin a
 html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-html_extra_path = ["site"]  # the first page, which leads to `docs/index.html`
+html_extra_path = ["site/index.html"]  # the first page, which leads to `docs/index.html`
 html_title = f"maesn {release}"
 html_show_sourcelink = False
 html_show_copyright = False
+
+
+def setup(app: Sphinx) -> None:
+    """Put the game where links in the repository lead to."""
+    app.connect("build-finished", lambda *_: _copy("site/hide_a_goal.html", Path(app.outdir)))
+
+
+def _copy(file: str, site: Path) -> None:
+    target = site / "docs" / file
+    target.parent.mkdir(exist_ok=True)
+    shutil.copy(Path(__file__).parent / file, target)

@@ -43,9 +43,14 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("train maesn --meta-batch-size 0", "`meta_batch_size`"),
         ("train maesn --tasks absent.npz", "absent.npz"),
         ("train maesn --family point --run {}/config.json", "config.json"),
+        ("train maesn --family puck", "got `puck`. Give your own"),
+        ("train maesn --family point --meta-batch-size 1000", "`meta_batch_size`"),
         ("resume absent", "absent"),
+        ("report {}/..", "there is no run in `{0}/..` itself, but in `{0}/../run`"),
         ("resume {} --iterations " + HUGE, "`iterations`"),
         ("adapt {} --episodes -50", "`episodes`"),
+        ("adapt {} --num-tasks 101", "`num_tasks` must be at most 100"),
+        ("adapt {} --rule serch", "Did you mean `search`?"),
         ("adapt {} --out .", "Is a directory"),
         ("adapt {} --tasks " + 5000 * "x", "File name too long"),
         ("export {} " + 5000 * "x", "File name too long"),
@@ -62,7 +67,8 @@ def test_wrong_words_get_a_sentence(
     named: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert named in said(capsys, *words.format(run.directory).split())
+    printed = said(capsys, *words.format(run.directory).split())
+    assert named.format(run.directory) in printed
     assert not list(tmp_path.iterdir())
 
 

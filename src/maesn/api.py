@@ -139,7 +139,7 @@ def adapt(
         EpisodeError: an episode went wrong.
     """
     asked, opened = evaluation.changed(**settings), running.open_run(run, family, method)
-    opened.task_set(asked.tasks)  # says what is wrong before the table gets its name
+    asked.check_count(opened.task_set(asked.tasks))  # before the table gets its name
     table = Path(out) if out else running.adaptation_file(opened.directory, asked)
     check_writable(table)
     return running.write_outcome(table, *running.evaluate(opened, asked))
@@ -218,7 +218,8 @@ def export(
     """
     if not overwrite and Path(path).exists():
         raise RunError(
-            f"`{path}` exists and would be replaced: give another path, or `--overwrite`."
+            f"`{path}` exists and would be replaced: give another path, or `--overwrite` "
+            "(in Python, `overwrite=True`)."
         )
     opened, stated = Run.open(run, family, method), Stated(lower, upper, control_period)
     given = None if latents is None else Path(latents)

@@ -42,6 +42,9 @@ Those that play take `--python PATH/bin/python`: environments of others run ther
 )
 _ANSWERS = {"--version": f"maesn {__version__}", "--help": _HELP, "-h": _HELP}
 
+# In a note that JAX adds to what is raised inside of its functions; we show no traceback.
+_ABOUT_TRACEBACKS = "JAX_TRACEBACK_FILTERING"
+
 USAGE_ERROR = 2
 INTERRUPTED = 130  # what shells report of a program that Ctrl-C ended
 
@@ -107,7 +110,10 @@ def _interpreter(options: list[str]) -> Iterator[list[str]]:
 
 def _notes(error: BaseException | None) -> list[str]:
     """Return what is known beside messages, as when a user's environment raised in a process."""
-    return [*getattr(error, "__notes__", []), *_notes(error.__cause__)] if error else []
+    if error is None:
+        return []
+    own = [note for note in getattr(error, "__notes__", []) if _ABOUT_TRACEBACKS not in note]
+    return [*own, *_notes(error.__cause__)]
 
 
 def _commands(error: Exception, arguments: list[str]) -> list[str]:

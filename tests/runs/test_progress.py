@@ -22,5 +22,5 @@ def test_progress_is_shown(tmp_path: Path, terminal: bool, width: int) -> None:
     assert "steps/s" in text.getvalue()
     assert "left" in text.getvalue()
     assert ("\x1b[" in text.getvalue()) == terminal
-    assert train_live(run, console=console) is None
+    assert train_live(run, iterations=5, console=console) is None
     assert f"{run.directory} has done 6 iterations: nothing is left" in text.getvalue()

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from maesn import api
 from maesn.commands.options import command
@@ -59,11 +59,11 @@ render = command(film.render, _say_written)
 @command
 def study(
     action: Positional[Literal["run", "status"]],
-    file: Positional[str],
+    file: Positional[Annotated[str, arg(metavar="STUDY")]],
     *,
     out: Path = Path("studies"),
     workers: int | None = None,
-    only: str | None = None,
+    only: Annotated[str | None, arg(metavar="JOB")] = None,
 ) -> None:
     """Compute a study: train, adapt, compare. What was interrupted goes on with the same command.
 

@@ -1,4 +1,4 @@
-"""`maesn train METHOD --run DIR`: meta-train in a new run directory."""
+"""`maesn train METHOD`: meta-train in a new run directory."""
 
 import dataclasses
 from typing import Any
@@ -12,7 +12,7 @@ from maesn.runs.sources import own_method
 from maesn.settings import check_choice, suggestion
 from maesn.storage import RunError, refusals
 
-_HELP = f"""usage: maesn train METHOD --run DIR [OPTIONS]
+_HELP = f"""usage: maesn train METHOD [OPTIONS]
 
 METHOD is one of: {", ".join(learners.PRESETS)};
 or `module:name` of your own, such as a class `name` in the file `module.py`.

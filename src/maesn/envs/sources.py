@@ -22,7 +22,7 @@ def resolve_family(name: str) -> TaskFamily:
         try:
             return find_family(name)
         except ValueError as error:
-            raise RunError(f"{error}; give your own as `module:name`.") from error
+            raise RunError(f"{error} Give your own as `module:name`.") from error
     family = imported(name, "family")
     if not isinstance(family, TaskFamily):
         raise RunError(f"`{name}` must be a TaskFamily, got {type(family).__name__}.")

@@ -31,9 +31,10 @@ class Evaluation:
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     rule: AnyRule = None
-    """What happens in a new task: gradient, search, its control stationary or none, or
-    `module:name` of your own; behind it its settings, as in `--rule gradient step_scale=2`. None:
-    what the method prescribes. `maesn list` has all settings."""
+    """What happens in a new task: gradient, search, stationary (a control: a search that knows no
+    training task), none, or `module:name` of your own; behind it its settings, as in
+    `--rule gradient step_scale=2`. None: what the method prescribes. `maesn list` has all
+    settings."""
     wrappers: AnyWrappers = ()
     """What is added to the rule, such as fine-tuning or a bonus."""
     episodes: int | None = None
@@ -82,7 +83,7 @@ class Evaluation:
         if budget.episodes % budget.per_update:
             raise ValueError(
                 f"`episodes` must be a multiple of `episodes_per_update`, got {budget.episodes} "
-                f"and {budget.per_update}."
+                f"and {budget.per_update}: change one of them."
             )
         self.check_reached("deploy_after", self.deploy_after)
         for one in self._chosen:
@@ -123,8 +124,17 @@ class Evaluation:
         return AbstractRule.budget if self.wrappers and not usual.episodes else usual
 
     def count(self, tasks: Sized) -> int:
-        """Return how many tasks of a set are adapted to: the first ones."""
+        """Return how many tasks of a set are adapted to: the first ones, or all if it has fewer."""
         return len(tasks) if self.num_tasks is None else min(self.num_tasks, len(tasks))
+
+    def check_count(self, tasks: Sized) -> None:
+        """Refuse by `RunError` more tasks than a set has, unless a protocol asks for them."""
+        usual = settings_by(self.protocol).get("num_tasks")
+        if self.num_tasks not in (None, usual) and self.num_tasks > len(tasks):
+            raise RunError(
+                f"`num_tasks` must be at most {len(tasks)}, the number of `{self.tasks}` tasks, "
+                f"got {self.num_tasks}."
+            )
 
     @property
     def protocol_record(self) -> dict[str, str]:
@@ -171,9 +181,11 @@ class Evaluation:
             raise RunError(f"`{method}` cannot be adapted like this: {error}") from error
         is_trial = learner.capabilities.trial_episodes is not None
         if is_trial and budget.deploy not in (0, budget.per_update):
+            by = f" by the protocol `{self.protocol}`" if self.protocol else ""
             raise RunError(
-                "`deploy_episodes` must be 0 or equal `episodes_per_update` for a policy that "
-                f"remembers earlier episodes, got {budget.deploy} and {budget.per_update}."
+                f"`{method}` remembers earlier episodes, so it is judged by those of its trials: "
+                "`deploy_episodes` must be 0 or equal `episodes_per_update`, got "
+                f"{budget.deploy} and {budget.per_update}{by}."
             )
         return learner
 

@@ -34,6 +34,8 @@ PROTOCOL = 2
 MARK = struct.Struct("=Qq")
 # Names under which environments report success; the first is Gymnasium's goal environments'.
 _SUCCESS = ("is_success", "success")
+# Where the files begin that a user has not written: these here, and what imports modules.
+_NO_USERS = (str(Path(__file__).parent), import_module.__code__.co_filename, "<frozen importlib")
 # Most characters of a message that are shown: a user's may have millions.
 _LONGEST = 1000
 
@@ -327,7 +329,7 @@ def _shortened(text: str, limit: int = _LONGEST) -> str:
 def _user_traceback(error: BaseException | None) -> str:
     """Return the traceback of an error within a user's code; an empty text without an error."""
     calls = traceback.extract_tb(error.__traceback__) if error else []
-    lines = traceback.format_list([call for call in calls if call.filename != __file__])
+    lines = traceback.format_list([one for one in calls if not one.filename.startswith(_NO_USERS)])
     return _shortened("".join(lines), 4 * _LONGEST)
 
 

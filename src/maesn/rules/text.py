@@ -10,7 +10,7 @@ from maesn.rules.prescribed import GradientRule, NoAdaptation
 from maesn.rules.search import SearchRule, StationaryRule
 from maesn.rules.wrappers import ThenTrpo, VimeBonus
 from maesn.serialization import TAG, fields_to_json, replaced, values_of_words
-from maesn.settings import leaves
+from maesn.settings import leaves, suggestion
 from maesn.storage import RunError, refusals
 
 KNOWN: dict[str, dict[str, type[AbstractRule] | type[AbstractWrapper]]] = {
@@ -41,7 +41,7 @@ def from_text(option: str, text: str) -> Any:
     if found is None:
         raise RunError(
             f"`{option}` must be one of {', '.join(known)}, or `module:name` of your own, got "
-            f"`{name}`."
+            f"`{name}`.{suggestion(name, known)}"
         )
     if not (isinstance(found, type) and issubclass(found, kind)):
         raise RunError(f"`{name}` must be a class that extends `maesn.{kind.__name__}`.")

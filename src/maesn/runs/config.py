@@ -187,6 +187,12 @@ def write_config(directory: Path, config: RunConfig) -> None:
 def read_config(directory: Path) -> RunConfig:
     """Read `config.json`; refuse one that is damaged or was changed by hand."""
     path = directory / CONFIG
+    if not path.exists():
+        inside = sorted(f"`{found.parent}`" for found in directory.glob(f"*/{CONFIG}"))
+        but = f" itself, but in {', '.join(inside)}" if inside else ""
+        raise RunError(
+            f"there is no run in `{directory}`{but}: name a directory that `maesn train` has made."
+        )
     document = read_json(path, "name a directory that `maesn train` has made")
     if document.pop("digest", None) != digest_of_document(document):
         raise RunError(

@@ -177,7 +177,7 @@ def train_live(
             say(f"Stopped, and saved. To go on: maesn resume {run.typed}{more}")
         raise
     if last is None:
-        say(f"{run.directory} has done {total} iterations: nothing is left.")
+        say(f"{run.directory} has done {run.latest().iteration} iterations: nothing is left.")
     return last
 
 

@@ -13,6 +13,7 @@ from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.protocols import settings_by
 from maesn.rules import KNOWN, from_text
 from maesn.serialization import decode
+from maesn.settings import suggestion
 from maesn.storage import RunError, explained
 from maesn.studies.spec import EvaluationSpec, Place, RunSpec, StudySpec, is_for
 
@@ -31,8 +32,11 @@ def read_study(source: str | Path) -> StudySpec:
     path = Path(source)
     path = path if path.is_file() else shipped_studies().get(str(source), path)
     if not path.is_file():
-        known = ", ".join(shipped_studies())
-        raise RunError(f"there is no study `{source}`: give a .toml file, or one of {known}.")
+        known = shipped_studies()
+        raise RunError(
+            f"there is no study `{source}`: give a .toml file, or one of {', '.join(known)}."
+            + suggestion(str(source), known)
+        )
     with explained("read", path):
         content = path.read_bytes()
     try:
