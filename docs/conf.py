@@ -49,10 +49,11 @@ html_show_copyright = False
 
 def setup(app: Sphinx) -> None:
     """Put the game where links in the repository lead to."""
-    app.connect("build-finished", lambda *_: _copy("site/hide_a_goal.html", Path(app.outdir)))
+    app.connect("build-finished", _copy_game)
 
 
-def _copy(file: str, site: Path) -> None:
-    target = site / "docs" / file
-    target.parent.mkdir(exist_ok=True)
-    shutil.copy(Path(__file__).parent / file, target)
+def _copy_game(app: Sphinx, error: Exception | None) -> None:
+    if error is None and app.builder.format == "html":
+        target = Path(app.outdir) / "docs" / "site"
+        target.mkdir(parents=True, exist_ok=True)
+        shutil.copy(Path(__file__).parent / "site" / "hide_a_goal.html", target)

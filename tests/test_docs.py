@@ -42,7 +42,7 @@ UNDERSTOOD = 77
 EXAMPLES = ROOT / "examples"  # as the pages say: export PYTHONPATH=examples
 # Commands that read no options of tyro's.
 NO_OPTIONS = (["--version"], ["list"], ["--help"])
-LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img[^>]*\ssrc=\"([^\"]+)\"")
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<(?:img|a)\s[^>]*(?:src|href)=\"([^\"]+)\"")
 
 
 def anchors(page: Path) -> set[str]:

@@ -27,7 +27,8 @@ class Evaluation:
     ood-validation (unlike all of these), final and final-2 (for a last look, when all is chosen),
     or the path of an `.npz` file."""
     num_tasks: int | None = None
-    """Number of tasks, the first ones of the set. None: all."""
+    """Number of tasks, the first ones of the set. None: all. `maesn adapt` refuses more than the
+    set has; a comparison or a study then takes all."""
     reward: RewardKind = "sparse"
     """Reward in the new tasks."""
     rule: AnyRule = None
@@ -181,11 +182,11 @@ class Evaluation:
             raise RunError(f"`{method}` cannot be adapted like this: {error}") from error
         is_trial = learner.capabilities.trial_episodes is not None
         if is_trial and budget.deploy not in (0, budget.per_update):
-            by = f" by the protocol `{self.protocol}`" if self.protocol else ""
+            remedy = f": leave out the protocol `{self.protocol}`" if self.protocol else ""
             raise RunError(
-                f"`{method}` remembers earlier episodes, so it is judged by those of its trials: "
+                f"`{method}` remembers earlier episodes and is judged in its trials, so "
                 "`deploy_episodes` must be 0 or equal `episodes_per_update`, got "
-                f"{budget.deploy} and {budget.per_update}{by}."
+                f"{budget.deploy} and {budget.per_update}{remedy}."
             )
         return learner
 

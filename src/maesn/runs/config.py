@@ -31,7 +31,7 @@ from maesn.serialization import (
     fields_to_json,
 )
 from maesn.settings import check_choice, check_numbers
-from maesn.storage import RunError, read_json, refusals, write_json
+from maesn.storage import RunError, explained, read_json, refusals, write_json
 from maesn.worlds.budget import check_memory
 
 
@@ -57,6 +57,7 @@ class NotNamedError(RunError):
 SCHEMA = 3
 
 CONFIG = "config.json"
+_SHOWN_RUNS = 3  # in a message
 
 _PACKAGES = ("maesn", "jax", "jaxlib", "equinox", "mujoco", "numpy")
 # Older runs wrote `settings.engine` and `changes`. They stay in the document, so that digests and
@@ -187,13 +188,14 @@ def write_config(directory: Path, config: RunConfig) -> None:
 def read_config(directory: Path) -> RunConfig:
     """Read `config.json`; refuse one that is damaged or was changed by hand."""
     path = directory / CONFIG
-    if not path.exists():
-        inside = sorted(f"`{found.parent}`" for found in directory.glob(f"*/{CONFIG}"))
-        but = f" itself, but in {', '.join(inside)}" if inside else ""
+    with explained("read", path):
+        is_there = path.exists()
+    if not is_there:
         raise RunError(
-            f"there is no run in `{directory}`{but}: name a directory that `maesn train` has made."
+            f"there is no run in `{directory}`{_runs_inside(directory)}: name a directory that "
+            "`maesn train` has made."
         )
-    document = read_json(path, "name a directory that `maesn train` has made")
+    document = read_json(path)
     if document.pop("digest", None) != digest_of_document(document):
         raise RunError(
             f"`{path}` was changed since maesn wrote it: restore it. For other settings start a "
@@ -215,3 +217,10 @@ def read_config(directory: Path) -> RunConfig:
             return fields_from_json(RunConfig, document)
         except UnknownTypeError as error:
             raise NotNamedError(directory, document["settings"], method=error.tag) from error
+
+
+def _runs_inside(directory: Path) -> str:
+    """Say which directories in this one hold a run, the first ones; nothing if none does."""
+    found = sorted(f"`{path.parent}`" for path in directory.glob(f"*/{CONFIG}"))
+    more = ", ..." if len(found) > _SHOWN_RUNS else ""
+    return f" itself, but in {', '.join(found[:_SHOWN_RUNS])}{more}" if found else ""
