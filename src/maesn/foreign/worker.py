@@ -35,7 +35,7 @@ MARK = struct.Struct("=Qq")
 # Names under which environments report success; the first is Gymnasium's goal environments'.
 _SUCCESS = ("is_success", "success")
 # Where the files begin that a user has not written: these here, and what imports modules.
-_NO_USERS = (str(Path(__file__).parent), import_module.__code__.co_filename, "<frozen importlib")
+_NO_USERS = (f"{Path(__file__).parent}/", import_module.__code__.co_filename, "<frozen importlib")
 # Most characters of a message that are shown: a user's may have millions.
 _LONGEST = 1000
 
