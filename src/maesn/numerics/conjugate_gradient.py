@@ -53,27 +53,22 @@ def conjugate_gradient(
     """
 
     def step(iterate: _Iterate, _: None) -> tuple[_Iterate, None]:
-        return _next_iterate(iterate, product(iterate.direction), residual_tolerance), None
+        image = product(iterate.direction)
+        curvature = multiply(iterate.direction, image)
+        # Negated comparisons, because NaN must count as unfinished and reach the solution.
+        active = ~(iterate.squared_norm <= residual_tolerance) & ~(curvature <= 0.0)
+        length = _guarded_ratio(active, iterate.squared_norm, curvature)
+        solution = iterate.solution + length * iterate.direction
+        residual = iterate.residual - length * image
+        squared_norm = multiply(residual, residual)
+        ratio = _guarded_ratio(active, squared_norm, iterate.squared_norm)
+        direction = residual + ratio * iterate.direction
+        following = _Iterate(solution, residual, direction, squared_norm)
+        return jax.tree.map(lambda new, old: jnp.where(active, new, old), following, iterate), None
 
     start = _Iterate(jnp.zeros_like(target), target, target, multiply(target, target))
     last, _ = jax.lax.scan(step, start, None, length=num_steps)
     return last.solution, jnp.sqrt(last.squared_norm)
-
-
-def _next_iterate(
-    iterate: _Iterate, image: Float[Array, "parameter"], residual_tolerance: float
-) -> _Iterate:
-    """One step, given the product A p_k as `image`."""
-    curvature = multiply(iterate.direction, image)
-    # Negated comparisons, because NaN must count as unfinished and reach the solution.
-    active = ~(iterate.squared_norm <= residual_tolerance) & ~(curvature <= 0.0)
-    length = _guarded_ratio(active, iterate.squared_norm, curvature)
-    solution = iterate.solution + length * iterate.direction
-    residual = iterate.residual - length * image
-    squared_norm = multiply(residual, residual)
-    ratio = _guarded_ratio(active, squared_norm, iterate.squared_norm)
-    following = _Iterate(solution, residual, residual + ratio * iterate.direction, squared_norm)
-    return jax.tree.map(lambda new, old: jnp.where(active, new, old), following, iterate)
 
 
 def _guarded_ratio(

@@ -53,13 +53,7 @@ def ridge_regression(
     is_used = weight > 0.0
     root = jnp.sqrt(jnp.where(is_used, weight, 0.0))
     rows = jnp.where(is_used[:, None], features, 0.0) * root[:, None]
-    return _solve_normal_equations(rows, jnp.where(is_used, target, 0.0) * root, ridge)
-
-
-def _solve_normal_equations(
-    rows: Float[Array, "row feature"], target: Float[Array, "row"], ridge: float
-) -> Float[Array, "feature"]:
-    """Solve (XᵀX + ρI) w = Xᵀy by steps 1 to 3 of `ridge_regression`."""
+    target = jnp.where(is_used, target, 0.0) * root
     gram = multiply(rows.T, rows)
     scale = jax.lax.rsqrt(jnp.diagonal(gram) + ridge)
     factor = _factorize(gram * scale[:, None] * scale[None, :])
