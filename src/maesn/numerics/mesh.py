@@ -11,6 +11,7 @@ Do not differentiate through them: differentiate a device's own part, then add u
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -132,26 +133,21 @@ def num_shards() -> int:
 
 def total(tree: Tree) -> Tree:
     """Return the sum over all devices."""
-    if not _is_inside():
-        return tree
-    summed: Tree = jax.lax.psum(tree, AXIS)  # type: ignore[no-untyped-call]
-    return summed
+    return _inside(jax.lax.psum, tree)
 
 
 def mean(tree: Tree) -> Tree:
     """Return the mean over all devices, which hold equally many tasks."""
-    if not _is_inside():
-        return tree
-    averaged: Tree = jax.lax.pmean(tree, AXIS)  # type: ignore[no-untyped-call]
-    return averaged
+    return _inside(jax.lax.pmean, tree)
 
 
 def gather(tree: Tree) -> Tree:
     """Return the rows of all devices, in the order of their task slots."""
-    if not _is_inside():
-        return tree
-    gathered: Tree = jax.lax.all_gather(tree, AXIS, tiled=True)
-    return gathered
+    return _inside(partial(jax.lax.all_gather, tiled=True), tree)
+
+
+def _inside(communicate: Callable[[Tree, str], Tree], tree: Tree) -> Tree:
+    return communicate(tree, AXIS) if _is_inside() else tree
 
 
 def mean_of_valid(values: Float[Array, "*shape"], valid: Bool[Array, "*shape"]) -> Float[Array, ""]:

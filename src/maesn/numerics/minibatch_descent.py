@@ -10,7 +10,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from maesn.numerics.first_order import first_order_step
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_least, check_positive
 
 Parameters = TypeVar("Parameters")
 Auxiliary = TypeVar("Auxiliary")
@@ -36,8 +36,7 @@ class MinibatchDescent(eqx.Module):
         check_positive(self, "learning_rate")
         if not self.max_gradient_norm > 0:  # infinite: no gradient is shortened
             raise ValueError(f"`max_gradient_norm` must be positive, got {self.max_gradient_norm}.")
-        for name in ("epochs", "minibatches"):
-            check_number(name, getattr(self, name), 1)
+        check_least(self, epochs=1, minibatches=1)
 
     def init(self, parameters: Any) -> optax.OptState:
         """Return the optimiser's state before the first step."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from maesn.numerics import AbstractDistribution, conjugate_gradient, multiply
 from maesn.numerics.mesh import total
-from maesn.settings import check_number, check_positive
+from maesn.settings import check_least, check_positive
 
 Parameters = TypeVar("Parameters")
 Vector = Float[Array, " parameter"]
@@ -65,9 +65,7 @@ class TrustRegion(eqx.Module):
 
     def __check_init__(self) -> None:
         check_positive(self, "max_kl")
-        check_number("cg_steps", self.cg_steps, 1)
-        check_number("max_backtracks", self.max_backtracks, 1)
-        check_number("damping", self.damping, 0)
+        check_least(self, cg_steps=1, max_backtracks=1, damping=0)
         if not 0 < self.backtrack_ratio < 1:
             raise ValueError(f"`backtrack_ratio` must lie in (0, 1), got {self.backtrack_ratio}.")
 
