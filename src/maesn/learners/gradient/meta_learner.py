@@ -76,10 +76,6 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
 
     def __check_init__(self) -> None:
         check_least(self, meta_batch_size=1, outer_batches=1, inner_updates=0)
-        self._check_adaptation()
-        self.outer.check_policy(self.policy)
-
-    def _check_adaptation(self) -> None:
         moved = self.adaptation.policy, self.adaptation.context
         if self.adaptation.context is not None and not self.context.is_adaptable:
             raise ValueError(
@@ -91,6 +87,7 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
                 f"`inner_updates` is {self.inner_updates}, but `adaptation` moves nothing: set it "
                 "to 0, or give `adaptation` a step of the policy or of the context."
             )
+        self.outer.check_policy(self.policy)
 
     def init(self, key: Key, problem: Problem) -> GradientState:
         check_enough_tasks(problem.num_tasks, self.meta_batch_size)
@@ -171,32 +168,24 @@ class GradientMetaLearner(AbstractMetaLearner[GradientState, GradientInfo]):
             pre.append((episodes, self._advantages(episodes)))
             agents = self._adapted(adaptation, agents, parameters.step_sizes, pre[-1])
             updated.append(agents)
-        post = self._play_outer(play_key, agents, index, collect)
+        batches = []
+        for phase in range(self.inner_updates, self.inner_updates + self.outer_batches):
+            keys = task_keys(play_key, phase, self.meta_batch_size)
+            batches.append(collect(keys, agents, index, stage=self.inner_updates))
+        post = concatenate(*batches)
         rows = index, tuple(pre), post, self._advantages(post)
         return self._improve(state, adaptation, rows, tuple(updated), curvature_key)
 
     def _check_rows(self, parameters: MetaParameters, collect: Collect) -> None:
         """Refuse more tasks than there are contexts: JAX would silently take the last one."""
         rows = partial(self.context.init, num_tasks=collect.num_tasks)
-        expected = jax.eval_shape(rows, jax.random.key(0))
-        shapes = (
-            [x.shape for x in jax.tree.leaves(t)] for t in (expected, parameters.context_table)
-        )
-        if len({tuple(found) for found in shapes}) > 1:
+        expected = jax.tree.leaves(jax.eval_shape(rows, jax.random.key(0)))
+        found = jax.tree.leaves(parameters.context_table)
+        if [x.shape for x in expected] != [x.shape for x in found]:
             raise ValueError(
                 f"`collect` plays {collect.num_tasks} tasks, but `state` was made for another "
                 "number: call `init` with the number of tasks that are played."
             )
-
-    def _play_outer(
-        self, key: Key, agents: Agents, index: Int[Array, " task"], collect: Collect
-    ) -> Episodes:
-        keys = [
-            task_keys(key, self.inner_updates + batch, self.meta_batch_size)
-            for batch in range(self.outer_batches)
-        ]
-        batches = [collect(batch_keys, agents, index, self.inner_updates) for batch_keys in keys]
-        return concatenate(*batches)
 
     @eqx.filter_jit
     def _start(self, state: GradientState, index: Int[Array, " task"]) -> Agents:

@@ -79,11 +79,16 @@ class MetaObjective(eqx.Module):
 
     def updated(self, parameters: MetaParameters) -> tuple[Agents, ...]:
         """Return the agents after the first inner update, after the second, and so on."""
-        return self._stages(parameters)[1:]
+        agents = self.start(parameters)
+        stages = []
+        for experience in self.pre:
+            agents = self.adaptation(agents, parameters.step_sizes, self.context, *experience)
+            stages.append(agents)
+        return tuple(stages)
 
     def adapted(self, parameters: MetaParameters) -> Agents:
         """Return the agents after all inner updates."""
-        return self._stages(parameters)[-1]
+        return self.updated(parameters)[-1] if self.pre else self.start(parameters)
 
     def distributions(self, parameters: MetaParameters, episodes: Episodes) -> AbstractDistribution:
         """Return the adapted agents' action distributions, `[task, episode, time, action]`."""
@@ -185,13 +190,6 @@ class MetaObjective(eqx.Module):
             how="vmap",
         )
         return penalties
-
-    def _stages(self, parameters: MetaParameters) -> tuple[Agents, ...]:
-        """Return the agents before the inner updates, and after each of them."""
-        agents, sizes = [self.start(parameters)], parameters.step_sizes
-        for episodes, advantages in self.pre:
-            agents.append(self.adaptation(agents[-1], sizes, self.context, episodes, advantages))
-        return tuple(agents)
 
     def _alone(self, row: tuple[Any, ...]) -> "MetaObjective":
         """Return the objective of a single task, from its row of `rows`."""
