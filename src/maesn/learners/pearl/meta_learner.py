@@ -19,7 +19,7 @@ from maesn.learners.meta import AbstractMetaLearner, Problem
 from maesn.learners.meta_batch import check_enough_tasks, draw_tasks, task_keys
 from maesn.learners.pearl.encoder import ContextEncoder, EncoderSettings
 from maesn.learners.pearl.fast_learner import PearlFastLearner
-from maesn.learners.pearl.replay import Replay, replay_features
+from maesn.learners.pearl.replay import Replay
 from maesn.learners.pearl.sac import ActorCritic, Optimisers, SoftActorCritic, SoftLosses
 from maesn.numerics import DiagonalGaussian, if_finite
 from maesn.numerics.mesh import refuse_sharing
@@ -142,7 +142,7 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         )
 
     def _capacity(self, problem: Problem) -> int:
-        features = replay_features(problem.observation_size, problem.action_size)
+        features = 2 * problem.observation_size + problem.action_size + 3  # of a `Batch`
         most = MOST_REPLAY_BYTES // (4 * features * problem.num_tasks)
         capacity = min(self.replay_steps, most)
         visit = self.batches * problem.episodes_per_task * problem.horizon

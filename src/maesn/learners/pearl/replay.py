@@ -116,11 +116,6 @@ class Replay(eqx.Module):
         return jax.tree.map(lambda x: x[tasks[:, None], place], self.rings.rows)
 
 
-def replay_features(observation_size: int, action_size: int) -> int:
-    """Return how many numbers a transition takes in the replay."""
-    return 2 * observation_size + action_size + 3
-
-
 def transitions_of(episodes: Episodes) -> tuple[Batch, Bool[Array, "task transition"]]:
     """Return the transitions `[task, episode * time, ...]` of episodes, and which of them count.
 

@@ -192,9 +192,11 @@ class SoftActorCritic(eqx.Module):
             networks.policy, q, batch.observation, z, noise
         )
         policy, policy_state = first_order_step(adam, networks.policy, gradient, optimisers.policy)
-        value_loss, gradient = jax.value_and_grad(_value_loss)(
-            networks.value, batch.observation, z, soft
-        )
+
+        def value_error(value: MLP) -> Float[Array, ""]:
+            return jnp.mean((predict(value, batch.observation, z) - soft) ** 2)
+
+        value_loss, gradient = jax.value_and_grad(value_error)(networks.value)
         value, value_state = first_order_step(adam, networks.value, gradient, optimisers.value)
         target = jax.tree.map(
             lambda slow, fast: slow + self.target_rate * (fast - slow), networks.target, value
@@ -207,12 +209,3 @@ class SoftActorCritic(eqx.Module):
 def predict(network: MLP, *inputs: Float[Array, "transition _"]) -> Float[Array, " transition"]:
     """Return the number that a network gives for each row of its inputs, side by side."""
     return jax.vmap(network)(jnp.concatenate(inputs, axis=-1))[:, 0]
-
-
-def _value_loss(
-    value: MLP,
-    observation: Float[Array, "transition observation"],
-    z: Float[Array, "transition z"],
-    wanted: Float[Array, " transition"],
-) -> Float[Array, ""]:
-    return jnp.mean((predict(value, observation, z) - wanted) ** 2)

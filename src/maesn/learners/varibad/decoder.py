@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from maesn.axes import Key
 from maesn.learners.varibad.steps import Steps
@@ -81,7 +81,8 @@ class BeliefDecoderSettings(eqx.Module):
     ) -> Float[Array, " step"]:
         """Return the predicted rewards of steps `[step, ...]`: means, or logits."""
         if self.cells:
-            return decoder.reward(m)[self._cell(steps.next_observation)]
+            cell = tuple(jnp.round(steps.next_observation).astype(int).T)
+            return decoder.reward(m)[jnp.ravel_multi_index(cell, self.cells, mode="clip")]
         return _predict(decoder.reward, m, steps.observation, steps.action, steps.next_observation)[
             :, 0
         ]
@@ -99,10 +100,6 @@ class BeliefDecoderSettings(eqx.Module):
         stays = Steps(places, nothing, jnp.zeros(number), places, jnp.ones(number, bool))
         predicted = self.rewards(decoder, m, stays)
         return jax.nn.sigmoid(predicted) if self.likelihood == "bernoulli" else predicted
-
-    def _cell(self, observation: Float[Array, "step observation"]) -> Int[Array, " step"]:
-        index = tuple(jnp.round(observation).astype(int).T)
-        return jnp.ravel_multi_index(index, self.cells, mode="clip")
 
     def surprise(
         self, decoder: Decoder, m: Float[Array, " m"], steps: Steps

@@ -34,7 +34,7 @@ from maesn.learners.varibad.decoder import BeliefDecoderSettings, Decoder
 from maesn.learners.varibad.encoder import BeliefEncoderSettings
 from maesn.learners.varibad.inference import BeliefInference, InferenceInfo
 from maesn.learners.varibad.policy import BeliefPolicy, side_by_side
-from maesn.learners.varibad.steps import Steps, empty_buffer, step_features, steps_of
+from maesn.learners.varibad.steps import Steps, empty_buffer, steps_of
 from maesn.learners.varibad.value import BeliefValue
 from maesn.numerics import (
     DiagonalGaussian,
@@ -142,7 +142,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     def _capacity(self, problem: Problem) -> tuple[int, int]:
         """Return how many trials the buffer holds, and of how many steps."""
         time = self.trial_episodes * problem.horizon
-        features = step_features(problem.observation_size, problem.action_size)
+        features = 2 * problem.observation_size + problem.action_size + 2  # of `Steps`
         most = MOST_BUFFER_BYTES // (4 * features * time)
         return max(min(self.inference.buffer_trials, most), 1), time
 

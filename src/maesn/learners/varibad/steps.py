@@ -55,8 +55,3 @@ def empty_buffer(capacity: int, time: int, observation_size: int, action_size: i
     observation, number = jnp.zeros((time, observation_size)), jnp.zeros(time)
     action = jnp.zeros((time, action_size))
     return Ring.empty(capacity, Steps(observation, action, number, observation, number > 0))
-
-
-def step_features(observation_size: int, action_size: int) -> int:
-    """Return how many numbers a step takes in the buffer."""
-    return 2 * observation_size + action_size + 2

@@ -138,7 +138,8 @@ class CuriosityBonus(eqx.Module):
         """
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
-        pool = state.pool.extend(*self._draw_additions(pool_key, played))
+        chosen = jax.random.permutation(pool_key, len(played.valid))[: self.pool_additions]
+        pool = state.pool.extend(played.rows[chosen], played.valid[chosen])
         state = replace(state, pool=pool)
         gain = self.information_gains(noise_key, state.network, state.scale, played)
         median = jnp.nanmedian(jnp.where(played.valid, gain, jnp.nan))
@@ -226,8 +227,3 @@ class CuriosityBonus(eqx.Module):
         (network, opt_state), _ = jax.lax.scan(step, start, jax.random.split(key, self.updates))
         has_learned = jnp.ones_like(state.has_learned)
         return replace(state, network=network, opt_state=opt_state, has_learned=has_learned)
-
-    def _draw_additions(self, key: Key, played: Transitions) -> Transitions:
-        number = played.valid.shape[0]
-        chosen = jax.random.permutation(key, number)[: self.pool_additions]
-        return Transitions(played.rows[chosen], played.valid[chosen])
