@@ -36,6 +36,12 @@ class MLP(eqx.Module):
             x = jax.nn.relu(layer(x))
         return self.layers[-1](x)
 
+    def scaled(self, layer: int, factor: float) -> "MLP":
+        """Return the network with the weights of one layer, not its biases, times a factor."""
+        return eqx.tree_at(
+            lambda mlp: mlp.layers[layer].weight, self, replace_fn=lambda weight: factor * weight
+        )
+
 
 def init_mlp(key: Key, sizes: tuple[int, ...]) -> MLP:
     """Return an MLP with Xavier-uniform weights and zero biases, as in the reference."""

@@ -110,8 +110,6 @@ def init_recurrent_network(
     encoder = init_mlp(encoder_key, sizes).layers if encoder_sizes else ()
     beside = 0 if hyper else hidden_size
     readout = init_mlp(readout_key, (sizes[-1] + beside, *readout_sizes, outputs))
-    last = readout.layers[-1]
-    small = Linear(OUTPUT_SCALE * last.weight, last.bias)
-    readout = MLP((*readout.layers[:-1], small))
+    readout = readout.scaled(-1, OUTPUT_SCALE)
     gru = init_gru(gru_key, sizes[-1], hidden_size)
     return RecurrentNetwork(encoder, gru, hyper_mlp(readout, hidden_size) if hyper else readout)

@@ -106,11 +106,7 @@ class SoftActorCritic(eqx.Module):
         inputs, hidden = observation_size + z_size, self.hidden_sizes
         q_sizes = (inputs + action_size, *hidden, 1)
         value = init_mlp(value_key, (inputs, *hidden, 1))
-        mlp = eqx.tree_at(
-            lambda mlp: mlp.layers[-1].weight,
-            init_mlp(policy_key, (inputs, *hidden, 2 * action_size)),
-            replace_fn=lambda weight: weight * FIRST_SCALE,
-        )
+        mlp = init_mlp(policy_key, (inputs, *hidden, 2 * action_size)).scaled(-1, FIRST_SCALE)
         return ActorCritic(
             SquashedPolicy(mlp, shown),
             (init_mlp(first, q_sizes), init_mlp(second, q_sizes)),

@@ -80,11 +80,7 @@ class HyperBonus(eqx.Module):
             return None
         target_key, predictor_key = jax.random.split(key)
         sizes = (features, *self.hidden_sizes, self.output_size)
-        target = eqx.tree_at(
-            lambda mlp: mlp.layers[0].weight,
-            init_mlp(target_key, sizes),
-            replace_fn=lambda weight: self.input_scale * weight,
-        )
+        target = init_mlp(target_key, sizes).scaled(0, self.input_scale)
         predictor = init_mlp(predictor_key, sizes)
         opt_state = optax.adam(self.learning_rate).init(predictor)
         return BonusState(target, predictor, opt_state, jnp.zeros((3, 3)))
