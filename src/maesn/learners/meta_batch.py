@@ -10,16 +10,7 @@ from maesn.axes import Key, TaskKeys
 
 
 def check_enough_tasks(num_tasks: int, wanted: int, setting: str = "meta_batch_size") -> None:
-    """Refuse a training set that holds fewer tasks than are drawn at once.
-
-    Args:
-        num_tasks: tasks of the training set.
-        wanted: tasks that are drawn at once.
-        setting: name of the setting that says so.
-
-    Raises:
-        ValueError: there are too few.
-    """
+    """Refuse by ValueError a training set with fewer tasks than a setting wants to draw at once."""
     if num_tasks < wanted:
         raise ValueError(
             f"`{setting}` is {wanted}, but the training set holds only {num_tasks} tasks. Tasks "

@@ -171,13 +171,7 @@ class ProximalStep(AbstractPolicyStep):
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[Float[Array, ""], ProximalInfo]:
-        """Return L, and what is logged of it.
-
-        Args:
-            new: distributions that vary, `[trial time action]`.
-            trials: the trials to learn from.
-            advantages: A_t.
-        """
+        """Return L of distributions `[trial time action]`, and what is logged of it."""
         valid = trials.valid
         ratio = probability_ratio(new, trials)
         bounded = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)

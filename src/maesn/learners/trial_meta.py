@@ -171,11 +171,9 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
     def advantages(
         self, trials: Trials, expected: Float[Array, "trial time"]
     ) -> Float[Array, "trial time"]:
-        """Return the advantage of every step, over the whole trial and not standardised.
+        """Return the advantage over `expected`, V_t, of every step, up to the end of its trial.
 
-        Args:
-            trials: the trials to learn from.
-            expected: V_t.
+        It is not standardised.
         """
         return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
             trials.reward, expected, trials.valid, self.discount, self.gae_lambda

@@ -78,12 +78,7 @@ def join_episodes(episodes: Sequence[Episodes]) -> Trials:
 
 
 def trials_of(agent: Agent, episodes: Episodes) -> Trials:
-    """Return one task's episodes `[episode, time, ...]` as trials of one episode each.
-
-    Args:
-        agent: the agent that played them.
-        episodes: its episodes.
-    """
+    """Return the episodes `[episode, time, ...]` of one task's agent as trials of one episode."""
     return Trials(*_steps(episodes, agent.perceive(episodes.policy_inputs())), episodes.z)
 
 

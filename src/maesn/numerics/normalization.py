@@ -72,11 +72,6 @@ class ObservationStatistics(eqx.Module):
 
 
 def no_observations(size: int) -> ObservationStatistics:
-    """Return the statistics before any observation, under which `normalized` is the identity.
-
-    Args:
-        size: components of an observation.
-    """
-    return ObservationStatistics(
-        jnp.zeros(()), jnp.zeros(size), jnp.full(size, 1.0 - EPSILON, float)
-    )
+    """Return the statistics before any observation, under which `normalized` is the identity."""
+    variance = jnp.full(size, 1.0 - EPSILON, float)
+    return ObservationStatistics(jnp.zeros(()), jnp.zeros(size), variance)

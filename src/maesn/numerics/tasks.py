@@ -10,20 +10,12 @@ How: TypeAlias = Literal["serial", "vmap"]
 
 
 def map_tasks(function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
-    """Map a function of one task over the leading axis of its arguments.
+    """Map a function of one task over the leading `task` axis of its arguments and results.
 
     On a CPU, `serial` takes half the time of `vmap` for gradients through a policy: the activations
     of one task fit in the cache, those of all tasks do not. It also needs memory for one task only.
     `vmap` is faster for small functions, and where all tasks share the policy's weights: then a
     product with them is one matrix product over all tasks.
-
-    Args:
-        function: a function of one task.
-        *rows: its arguments, pytrees of arrays with a leading `task` axis.
-        how: `serial` or `vmap`.
-
-    Returns:
-        The function's results, with a leading `task` axis.
     """
     match how:
         case "serial":

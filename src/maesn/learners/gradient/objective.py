@@ -147,14 +147,10 @@ class MetaObjective(eqx.Module):
         loss: Callable[["MetaObjective", MetaParameters], Float[Array, ""]],
         parameters: MetaParameters,
     ) -> tuple[Float[Array, ""], MetaParameters]:
-        """Return the mean over the tasks of any loss, and its gradient.
+        """Return the mean over the tasks of any loss of one task's objective, and its gradient.
 
         Each task is differentiated separately. Reverse mode through all tasks at once would return
         the same, but store the activations of all of them.
-
-        Args:
-            loss: of the objective of a single task, and of the parameters.
-            parameters: where the gradient is taken.
         """
 
         def differentiate(*row: Any) -> tuple[Float[Array, ""], MetaParameters]:

@@ -86,15 +86,7 @@ class BeliefInference(eqx.Module):
         steps: Steps,
         draws: Draws,
     ) -> tuple[Float[Array, ""], InferenceInfo]:
-        """Return minus the mean of ELBO_t over the prefixes of one trial `[time, ...]`.
-
-        Args:
-            encoder: gives q_t.
-            decoding: settings of the decoder.
-            decoder: its networks.
-            steps: the trial.
-            draws: what is random.
-        """
+        """Return minus the mean of ELBO_t over the prefixes of one trial `[time, ...]`."""
         valid, exists = steps.valid, jnp.append(True, steps.valid)
         belief = encoder.posteriors(steps)
         m = belief.sample_from_noise(draws.noise)[draws.prefixes]

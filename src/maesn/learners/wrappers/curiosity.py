@@ -129,12 +129,8 @@ class CuriosityBonus(eqx.Module):
         """Return the bonus of every step under the present model; 0 where invalid.
 
         The new state holds some of the transitions and their median gain; `learn` trains on them
-        later. For an untrained model the bonus is 0, and no median is kept.
-
-        Args:
-            key: random key.
-            state: the model.
-            episodes: episodes of any number of tasks with the same dynamics.
+        later. For an untrained model the bonus is 0, and no median is kept. The episodes may be
+        those of any number of tasks with the same dynamics.
         """
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
@@ -176,10 +172,7 @@ class CuriosityBonus(eqx.Module):
     ) -> Float[Array, ""]:
         """Return -E_q[log p(change | observation, action, weights)] of one transition, in nats.
 
-        Args:
-            network: the model.
-            row: standardised features of the transition.
-            noise: standard normal noise of each draw of the weights.
+        Its features are standardised, and the noise of the weights is standard normal.
         """
         inputs = network.input_size
         predicted = jax.vmap(network, in_axes=(None, 0))(row[:inputs], noise)
