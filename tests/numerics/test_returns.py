@@ -34,13 +34,12 @@ def _loop_returns(reward: np.ndarray, length: int, discount: float) -> np.ndarra
 def _loop_advantages(
     reward: np.ndarray,
     value: np.ndarray,
-    bootstrap_value: float,
     length: int,
     discount: float,
     gae_lambda: float,
 ) -> np.ndarray:
     """The definition as an explicit double sum, A_t = Σ_k (γλ)ᵏ δ_{t+k}."""
-    values = [*np.float64(value)[:length], bootstrap_value]
+    values = [*np.float64(value)[:length], 0.0]
     errors = [float(reward[t]) + discount * values[t + 1] - values[t] for t in range(length)]
     advantages = np.zeros(TIME)
     for t in range(length):
@@ -65,10 +64,8 @@ def test_advantages_agree_with_a_double_loop(
     length: int, discount: float, gae_lambda: float
 ) -> None:
     reward, value, valid = _episode(length)
-    actual = generalized_advantages(reward, value, -0.8, valid, discount, gae_lambda)
-    expected = _loop_advantages(
-        np.asarray(reward), np.asarray(value), -0.8, length, discount, gae_lambda
-    )
+    actual = generalized_advantages(reward, value, valid, discount, gae_lambda)
+    expected = _loop_advantages(np.asarray(reward), np.asarray(value), length, discount, gae_lambda)
     np.testing.assert_allclose(actual, expected, atol=1e-5)
 
 
@@ -76,7 +73,7 @@ Transform = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 TRANSFORMS: dict[str, Transform] = {
     "discounted_returns": lambda reward, value, valid: discounted_returns(reward, valid, 0.9),
     "generalized_advantages": lambda reward, value, valid: generalized_advantages(
-        reward, value, 0.3, valid, 0.9, 0.8
+        reward, value, valid, 0.9, 0.8
     ),
     "masked_mean": lambda reward, value, valid: masked_mean(reward, valid),
     "standardize": lambda reward, value, valid: standardize(reward, valid),

@@ -52,7 +52,7 @@ def test_with_trace_one_it_is_the_return_of_the_whole_trial_less_the_value() -> 
 def test_a_trial_of_one_episode_is_the_usual_estimate() -> None:
     (reward, value), valid = random_trial(), jnp.arange(9) < 6
     arrays = [jnp.asarray(x) for x in (reward, value)]
-    usual = generalized_advantages(*arrays, 0.0, valid, DISCOUNT, TRACE)
+    usual = generalized_advantages(*arrays, valid, DISCOUNT, TRACE)
     np.testing.assert_allclose(
         trial_advantages(*arrays, valid, DISCOUNT, TRACE), usual, rtol=1e-5, atol=1e-6
     )

@@ -75,8 +75,8 @@ class AdvantageEstimator(eqx.Module):
         )
         value = self._fitted_values(episodes, returns)
         # The value after the last step is 0: an episode that ran out of time counts as complete.
-        step = jax.vmap(generalized_advantages, in_axes=(0, 0, None, 0, None, None))(
-            reward, value, jnp.zeros(()), episodes.valid, self.discount, self.gae_lambda
+        step = jax.vmap(generalized_advantages, in_axes=(0, 0, 0, None, None))(
+            reward, value, episodes.valid, self.discount, self.gae_lambda
         )
         episode = returns[:, 0] - value[:, 0]
         informative = self.drifts | _rewards_differ(reward)

@@ -35,7 +35,6 @@ def discounted_returns(
 def generalized_advantages(
     reward: Float[Array, "time"],
     value: Float[Array, "time"],
-    bootstrap_value: float | Float[Array, ""],
     valid: Bool[Array, "time"],
     discount: float | Float[Array, ""],
     gae_lambda: float | Float[Array, ""],
@@ -45,7 +44,7 @@ def generalized_advantages(
         δ_t = r_t + γ V_{t+1} - V_t
         A_t = δ_t + γλ A_{t+1},  A_n = 0,   for t in [0, n-1]
 
-    where V_n is `bootstrap_value`. With λ = 1 and V_n = 0, A_t = G_t - V_t; with λ = 0, A_t = δ_t.
+    where V_n = 0. With λ = 1, A_t = G_t - V_t; with λ = 0, A_t = δ_t.
 
     Source: Schulman et al., "High-dimensional continuous control using generalized advantage
     estimation" (2016), equations 11 to 16, https://arxiv.org/abs/1506.02438.
@@ -53,8 +52,6 @@ def generalized_advantages(
     Args:
         reward: r_t, t in [0, T-1], the reward for the action taken at step t.
         value: V_t, t in [0, T-1], estimated before the action of step t.
-        bootstrap_value: V_n, the value after the last valid step: 0 if the episode terminated
-            there, or if the task ends with its horizon.
         valid: true for t in [0, n-1].
         discount: γ in [0, 1].
         gae_lambda: λ in [0, 1]; 0 trusts the values (bias), 1 the sampled rewards (variance).
@@ -63,7 +60,7 @@ def generalized_advantages(
         A_t for t in [0, n-1], then 0.
     """
     next_valid = jnp.roll(valid, -1).at[-1].set(False)
-    next_value = jnp.where(next_valid, jnp.roll(value, -1), bootstrap_value)
+    next_value = jnp.where(next_valid, jnp.roll(value, -1), 0.0)
     difference = jnp.where(valid, reward + discount * next_value - value, 0.0)
     return _discounted_sum(difference, discount * gae_lambda)
 
@@ -77,7 +74,7 @@ def trial_advantages(
 ) -> Float[Array, "time"]:
     """Generalised advantage estimates over a trial: several episodes, one behind the other.
 
-    As `generalized_advantages` with V_n = 0, but with gaps: an episode that ended early is
+    As `generalized_advantages`, but with gaps: an episode that ended early is
     followed by invalid steps, and then by the next episode. The recursion runs over the valid
     steps as if they were neighbours. So exploration in an early episode is credited with the
     rewards of later ones, discounted by the steps between (Duan et al. 2016, section 2.2).
