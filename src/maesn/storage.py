@@ -109,9 +109,7 @@ def read_json_lines(path: Path, remedy: str = "restore it") -> list[dict[str, An
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write an `.npz` file of plain arrays; see `write_whole`."""
-    with explained("write", path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        archive.write_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
+    write_whole(path, archive.npz({name: np.asarray(x) for name, x in arrays.items()}))
 
 
 def read_arrays(

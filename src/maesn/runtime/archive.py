@@ -79,16 +79,11 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
         os.close(descriptor)
 
 
-def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write arrays of numbers as an `.npz` file; see `write_whole`.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: an array holds Python objects.
-    """
+def npz(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
+    """Return an `.npz` file of arrays; raises ValueError if one holds Python objects."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
-    write_whole(path, content.getvalue())
+    return content.getvalue()
 
 
 def read_arrays(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Arrays:
@@ -143,7 +138,7 @@ def write_archive(
 ) -> None:
     """Write the file of a policy or of an explorer; see `write_whole`. `metadata` is for JSON."""
     text = json.dumps({**_HEAD, **metadata})
-    write_arrays(path, {_METADATA: np.array(text), **arrays})
+    write_whole(path, npz({_METADATA: np.array(text), **arrays}))
 
 
 def read_archive(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, Any]]:
