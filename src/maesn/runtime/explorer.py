@@ -172,8 +172,10 @@ class Explorer:
         self._state.refuse_running("propose")
         if count < 1:
             raise ValueError(f"`count` must be at least 1, got {count}.")
-        self._state, latents = self._state.proposing(count, self._generator)
-        return latents
+        search = self._state.search_for("propose")
+        search, proposed = search.proposed_together(self._generator, count)
+        self._state = replace(self._state, search=search, proposed=proposed)
+        return search.points[list(proposed)]
 
     def add_result(self, z: ArrayLike, rewards: ArrayLike) -> None:
         """Keep what another robot got with a z of this search; the next `adapt` learns from it.

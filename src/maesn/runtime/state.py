@@ -97,13 +97,6 @@ class ExplorerState:
             raise RuntimeError(f"`{call}` needs a search: export with the rule `search`.")
         return self.search
 
-    def proposing(
-        self, count: int, generator: np.random.Generator
-    ) -> "tuple[ExplorerState, FloatArray]":
-        """Return the state after a proposal of several z, and these, `[robot, latent]`."""
-        search, proposed = self.search_for("propose").proposed_together(generator, count)
-        return replace(self, search=search, proposed=proposed), search.points[list(proposed)]
-
     def told(self, point: int, rewards: FloatArray, horizon: int) -> "ExplorerState":
         """Return the state with what another robot got for a point."""
         refuse_large(rewards)
