@@ -112,13 +112,14 @@ class LatentSearch:
         """
         weights = self.posterior.weights
         component = int(generator.choice(len(weights), p=weights))
-        chosen = self.highest(self.open_scores(component, taken))
-        is_explored = self.posterior.known[self.best] or (
-            chosen == self.best and self._plays(chosen) >= PLAYS
-        )
+        chosen, best = self.highest(self.open_scores(component, taken)), self.best
+        plays = sum(reading.point == best for reading in self.posterior.readings)
+        is_explored = self.posterior.known[best] or (chosen == best and plays >= PLAYS)
         if self.settings.draws == 0 or not is_explored:
             return self, chosen
-        wider = self._with_draws(generator)
+        shape = (self.settings.draws, self.points.shape[1])
+        around = self.settings.draw_std * generator.standard_normal(shape)
+        wider = self.with_points(self.points[best] + around)
         refined = wider.highest(wider.open_scores(component, taken))
         if refined < len(self.points):
             return self, chosen
@@ -234,11 +235,3 @@ class LatentSearch:
     def _is_beyond(self, reading: Reading) -> bool:
         low, high = self.model.explained(reading.length)
         return not low <= reading.episode_return <= high
-
-    def _with_draws(self, generator: np.random.Generator) -> "LatentSearch":
-        shape = (self.settings.draws, self.points.shape[1])
-        around = self.settings.draw_std * generator.standard_normal(shape)
-        return self.with_points(self.points[self.best] + around)
-
-    def _plays(self, point: int) -> int:
-        return sum(reading.point == point for reading in self.posterior.readings)
