@@ -11,8 +11,6 @@ from maesn.runtime.arrays import FloatArray
 Limit: TypeAlias = float | Sequence[float] | FloatArray
 """One number for all actuators, or one for each."""
 
-_LIMITS = ("lower", "upper", "max_change", "rest")
-
 
 @dataclass(frozen=True)
 class Safeguards:
@@ -39,7 +37,7 @@ class Safeguards:
         bound = self.max_latent_norm
         if bound is not None and not bound >= 0:
             raise ValueError(f"`max_latent_norm` must be at least 0 or None, got {bound}.")
-        for name in _LIMITS:
+        for name in ("lower", "upper", "max_change", "rest"):
             object.__setattr__(self, name, _as_numbers(name, getattr(self, name)))
         if not np.isfinite(np.asarray(self.rest, np.float64)).all():
             raise ValueError(f"`rest` must be finite, got {self.rest}.")
