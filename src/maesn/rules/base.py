@@ -45,9 +45,6 @@ class Budget(NamedTuple):
     """Fresh episodes that judge the deployed agent each time."""
 
 
-GRADIENT_BUDGET = Budget(500, 50, 0)  # the paper's: ten updates of fifty episodes
-
-
 class _AbstractChoice(eqx.Module):
     """What rules and wrappers have in common."""
 
@@ -63,8 +60,8 @@ class _AbstractChoice(eqx.Module):
 class AbstractRule(_AbstractChoice):
     """How a trained method learns in a new task."""
 
-    budget: ClassVar[Budget] = GRADIENT_BUDGET
-    """Default numbers of episodes of an evaluation."""
+    budget: ClassVar[Budget] = Budget(500, 50, 0)
+    """Default numbers of episodes of an evaluation. The paper's: ten updates of fifty episodes."""
     needs_return_prior: ClassVar[bool] = False
     """Whether the rule calls `Trained.return_prior`. A study then makes the prior beforehand."""
 
