@@ -14,12 +14,8 @@ from maesn.numerics import (
     standardize,
 )
 from maesn.numerics.tasks import map_tasks
+from maesn.runtime.baseline import FEATURE_CLIP, FEATURE_TIME_SCALE
 from maesn.settings import check_number, check_positive
-
-# Observations are clipped to this range, and t is divided by this number of steps, as in the
-# reference's linear feature baseline.
-FEATURE_CLIP = 10.0
-FEATURE_TIME_SCALE = 100.0
 
 
 class Advantages(eqx.Module):

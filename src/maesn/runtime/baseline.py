@@ -10,8 +10,8 @@ import numpy as np
 
 from maesn.runtime.arrays import FloatArray
 
-# Range that observations are clipped to and time that t is divided by: those of
-# `maesn.inner.advantage`, from the reference's linear feature baseline.
+# Range that observations are clipped to, and number of steps that t is divided by: those of the
+# reference's linear feature baseline.
 FEATURE_CLIP = 10.0
 FEATURE_TIME_SCALE = 100.0
 # Added to the standard deviation that advantages are divided by, from the reference.
