@@ -87,17 +87,15 @@ class Episodes(eqx.Module):
     def policy_inputs(self) -> PolicyInput:
         """Return the policy's inputs at every step, `[*batch time ...]`; 0 where invalid."""
         action, reward, time = self.action, self.received_reward, self.action.shape[-2]
-        if self.trial_start is None:
-            first_action, first_reward = (
-                jnp.zeros_like(action[..., 0, :]),
-                jnp.zeros_like(reward[..., 0]),
+        start = self.trial_start
+        if start is None:
+            start = TrialState(
+                None, jnp.zeros_like(action[..., 0, :]), jnp.zeros_like(reward[..., 0])
             )
-        else:
-            first_action, first_reward = self.trial_start.action, self.trial_start.reward
         previous_action = jnp.concatenate(
-            [first_action[..., None, :], action[..., :-1, :]], axis=-2
+            [start.action[..., None, :], action[..., :-1, :]], axis=-2
         )
-        previous_reward = jnp.concatenate([first_reward[..., None], reward[..., :-1]], axis=-1)
+        previous_reward = jnp.concatenate([start.reward[..., None], reward[..., :-1]], axis=-1)
         # Zeros, because the gradient of a masked NaN is NaN.
         return PolicyInput(
             observation=jnp.where(self.valid[..., None], self.observation[..., :time, :], 0.0),
