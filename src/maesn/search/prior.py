@@ -114,9 +114,8 @@ def make_prior(
     else:
         few = situations(world.env, world.tasks)[:FEW]
         key = jax.random.fold_in(jax.random.key(settings.seed), _AGAIN)
-        again, lengths = _play_groups(
-            latent, world, settings, latents[:REPEATED], few, REPEATS, key
-        )
+        often = replace(settings, episodes=REPEATS)
+        again, lengths = play_archive(latent, world, latents[:REPEATED], often, groups=few, key=key)
         noises = (again - lengths * offset[:, None, None]).var(axis=2, ddof=1)
         noise = np.full(len(latents), noises[np.concatenate(few)].mean())
     return ReturnPrior(
@@ -135,29 +134,21 @@ def play_archive(
     latents: np.ndarray,
     settings: PriorSettings,
     progress: Progress = lambda played, of: None,
+    groups: Sequence[np.ndarray] | None = None,
+    key: Key | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in all tasks of a world. The arguments are those of `make_prior`.
+    """Play latents in all tasks of a world, with the arguments of `make_prior`.
+
+    Or only in some situations, `groups`; the returns of other tasks are then 0. The key of the
+    episodes is by default that of the settings' seed.
 
     Returns:
         Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of the
         same situation share their episodes.
     """
     _, episodes = settings.counts(world.env, world.tasks)
-    groups, key = situations(world.env, world.tasks), jax.random.key(settings.seed)
-    return _play_groups(latent, world, settings, latents, groups, episodes, key, progress)
-
-
-def _play_groups(
-    latent: AbstractSettableLatent,
-    world: AbstractWorld,
-    settings: PriorSettings,
-    latents: np.ndarray,
-    groups: Sequence[np.ndarray],
-    episodes: int,
-    key: Key,
-    progress: Progress = lambda played, of: None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in some situations, as `play_archive` does; returns of other tasks are 0."""
+    groups = situations(world.env, world.tasks) if groups is None else groups
+    key = jax.random.key(settings.seed) if key is None else key
     collector = Collector(world, episodes)
     size = max(1, min(settings.simulations // episodes, collector.most_tasks, len(latents)))
     shape = (len(world.tasks), len(latents), episodes)
