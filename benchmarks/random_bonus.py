@@ -5,8 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from maesn.axes import Key
-from maesn.experience.transitions import Scale, Transitions
-from maesn.learners.wrappers.curiosity import CuriosityBonus
+from maesn.learners.wrappers.curiosity import CuriosityBonus, Scale, Transitions
 from maesn.networks import BayesianNetwork
 
 

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 from learning_problems.transitions import linear_episodes
 
-from maesn.experience.transitions import Scale, Transitions, transitions
-from maesn.learners.wrappers.curiosity import CuriosityBonus, CuriosityState
+from maesn.learners.wrappers.curiosity import (
+    CuriosityBonus,
+    CuriosityState,
+    Scale,
+    Transitions,
+    transitions,
+)
 
 KEY = jax.random.key(0)
 SMALL = CuriosityBonus(
