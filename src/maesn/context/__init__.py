@@ -10,15 +10,8 @@ transitions.) Four names, each with one meaning:
 * *context* (`AbstractContext`): the arrays of one task, or of many, stacked;
 * *z*: what a context feeds to the policy throughout one episode.
 
-Three settings span the methods of the paper, and a fourth one gives their ceiling:
-
-* `NoContext`: nothing. With adapted policy weights this is MAML.
-* `BiasContext`: a deterministic vector shared by all tasks. This is MAML with a bias
-  transformation (appendix "Ablation Study").
-* `LatentContext`: a Gaussian per training task, from which one z is drawn per episode. This is
-  MAESN (section "Meta-Learning Latent Variable Policies") and, without an inner update,
-  LatentSpace.
-* `OracleContext`: the task itself. This is the oracle, which has nothing to find out.
+`NoContext`, `BiasContext` and `LatentContext` span the methods of the paper, and `OracleContext`
+gives their ceiling: `maesn.learners.presets` says which method has which.
 """
 
 from maesn.context.settings import AbstractContextSettings as AbstractContextSettings

@@ -89,7 +89,7 @@ class OracleContext(_FixedContext[TaskDescription]):
 
 
 class BiasContext(AbstractContextSettings[Bias]):
-    """A deterministic vector, shared by all tasks before adaptation.
+    """A deterministic vector, shared by all tasks before adaptation (appendix "Ablation Study").
 
     Its inner gradient runs through the policy (pathwise), and it has no penalty.
     """
