@@ -66,7 +66,6 @@ class Posterior:
         task_offset: mean of c if the new task is like training task i, `[task]`.
         variance: variance of f in each component, `[point]`.
         noise: variance of one episode's return, `[point]`.
-        is_exact: whether it is 0, but for rounding, `[point]`.
         rows: L^-1 cov(readings, f), `[reading, point]`.
         offset_rows: L^-1 cov(readings, c), `[reading]`.
         readings: the readings so far.
@@ -82,7 +81,6 @@ class Posterior:
     task_offset: FloatArray
     variance: FloatArray
     noise: FloatArray
-    is_exact: NDArray[np.bool_]
     rows: FloatArray
     offset_rows: FloatArray
     readings: tuple[Reading, ...]
@@ -92,16 +90,13 @@ class Posterior:
     @staticmethod
     def of_prior(model: ReturnModel, points: FloatArray) -> "Posterior":
         """Return the distribution at some latents before any reading."""
-        variance = model.covariance(points[:1], points[:1])[0, 0] * np.ones(len(points))
-        noise = model.noise(points)
         return Posterior(
             model,
             points,
             model.task_means(points),
             np.full(model.num_tasks, model.prior.offset_mean),
-            variance,
-            noise,
-            noise <= KNOWN * variance,
+            np.full(len(points), model.variance),
+            model.noise(points),
             rows=np.zeros((0, len(points))),
             offset_rows=np.zeros(0),
             readings=(),
@@ -136,7 +131,7 @@ class Posterior:
         """Whether a latent would return what it did before: no noise, `[point]`."""
         known = np.zeros(len(self.points), bool)
         played = [one.point for one in self.readings]
-        known[played] = self.is_exact[played]
+        known[played] = self.noise[played] <= KNOWN * self.model.variance
         return known
 
     def predicted(self, point: int, length: float = 1.0) -> Prediction:
@@ -173,11 +168,9 @@ class Posterior:
 
     def _is_twin(self, point: int, std: float) -> bool:
         """Whether a latent returns what an equal one did: nothing is left to know but rounding."""
-        if not self.is_exact[point]:
-            return False
-        z = self.points[point : point + 1]
-        variance = float(self.model.covariance(z, z)[0, 0])
-        return variance > 0.0 and std**2 <= KNOWN * variance
+        variance = self.model.variance
+        rounding = KNOWN * variance
+        return variance > 0.0 and bool(self.noise[point] <= rounding) and std**2 <= rounding
 
     def extended(self, more: FloatArray) -> "Posterior":
         """Return the posterior at its latents and at some more."""
@@ -197,7 +190,6 @@ class Posterior:
             task_mean=np.hstack([self.task_mean, task_mean]),
             variance=np.append(self.variance, variance),
             noise=np.append(self.noise, before.noise),
-            is_exact=np.append(self.is_exact, before.is_exact),
             rows=np.hstack([self.rows, rows]),
         )
 

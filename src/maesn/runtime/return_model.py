@@ -152,6 +152,11 @@ class ReturnModel:
         same = (first[:, None] == second[None]).all(axis=-1)
         return self.residual * matern(first, second, self.reach) + self.jump * same
 
+    @property
+    def variance(self) -> float:
+        """Variance of residual and jumps, R(z, z)."""
+        return float(self.residual + self.jump)
+
     def explained(self, length: float = 1.0) -> tuple[float, float]:
         """Return the smallest and the largest return that the prior explains of an episode.
 
