@@ -9,6 +9,9 @@ FloatArray: TypeAlias = NDArray[np.float64]
 LimitArray: TypeAlias = Annotated[FloatArray, "infinite where there is no limit"]
 Arrays: TypeAlias = dict[str, NDArray[np.generic]]
 
+LARGEST = 1e100
+"""The squares of larger numbers, summed over many steps or draws, are beyond double precision."""
+
 
 def float64(values: Any) -> FloatArray:
     """Return an array, of JAX as well, in double precision."""

@@ -5,23 +5,20 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from maesn.runtime.arrays import FloatArray
+from maesn.runtime.arrays import LARGEST, FloatArray
 
 Purpose: TypeAlias = Literal["explore", "deploy"]
 """`explore`: played to be learned from. `deploy`: played with z at the latent's mean, and judged
 only."""
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
-LARGEST_REWARD = 1e100
-"""The squares of larger ones, summed over many steps, are beyond double precision."""
-
 
 def refuse_large(rewards: FloatArray) -> None:
-    """Raise ValueError if some reward is beyond `LARGEST_REWARD`."""
+    """Raise ValueError if some reward is beyond `LARGEST`."""
     size = float(np.abs(rewards).max(initial=0.0))
-    if size > LARGEST_REWARD:
+    if size > LARGEST:
         raise ValueError(
-            f"`rewards` must be at most {LARGEST_REWARD:g} in size, got {size:g}. Nothing was "
+            f"`rewards` must be at most {LARGEST:g} in size, got {size:g}. Nothing was "
             "recorded: give them in a larger unit."
         )
 

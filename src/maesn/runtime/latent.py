@@ -4,10 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maesn.runtime.arrays import FloatArray
-
-LARGEST_LATENT = 1e100
-"""The squares of larger numbers, summed over many draws, are beyond double precision."""
+from maesn.runtime.arrays import LARGEST, FloatArray
 
 
 @dataclass(frozen=True)
@@ -28,10 +25,10 @@ class Latent:
     def __post_init__(self) -> None:
         with np.errstate(over="ignore"):
             std = self.std
-        fits = (np.abs(self.mean) <= LARGEST_LATENT) & (std > 0) & (std <= LARGEST_LATENT)
+        fits = (np.abs(self.mean) <= LARGEST) & (std > 0) & (std <= LARGEST)
         if not fits.all():
             raise ValueError(
-                f"the latent must have a mean of at most {LARGEST_LATENT:g} in size and a standard "
+                f"the latent must have a mean of at most {LARGEST:g} in size and a standard "
                 f"deviation above 0 and up to that, got {self.mean} and {std}."
             )
 
