@@ -110,7 +110,7 @@ class ExportedPolicy:
     @property
     def action_size(self) -> int:
         """Number of components of an action, and of a control."""
-        return self.policy.action_size
+        return self.policy.std.size
 
     @property
     def search_horizon(self) -> int:

@@ -41,11 +41,6 @@ class GaussianPolicy:
             )
 
     @property
-    def action_size(self) -> int:
-        """Number of components of an action."""
-        return int(self.std.shape[0])
-
-    @property
     def input_size(self) -> int:
         """Number of components of an observation and a latent together."""
         return int(self.weights[0].shape[0])
