@@ -51,7 +51,11 @@ class Explorer:
         self._generator = np.random.default_rng(seed)
         self._actor = Actor(exported, self.safeguards, self._generator)
         state = ExplorerState.new_task(exported) if state is None else state
-        self._state = state.within(self.safeguards.max_latent_norm)
+        if state.search is not None:
+            bound = self.safeguards.max_latent_norm
+            search = replace(state.search, max_norm=np.inf if bound is None else bound)
+            state = replace(state, search=search)
+        self._state = state
         self._policy = self._given_z()
 
     @staticmethod

@@ -49,13 +49,6 @@ class ExplorerState:
             search = LatentSearch.start(exported.search.model, exported.search.settings)
         return ExplorerState(exported.start, exported.start_update, search=search)
 
-    def within(self, max_norm: float | None) -> "ExplorerState":
-        """Return the state whose search chooses no z of a larger Euclidean norm; None: of any."""
-        if self.search is None:
-            return self
-        bound = np.inf if max_norm is None else max_norm
-        return replace(self, search=replace(self.search, max_norm=bound))
-
     def begun(
         self, explore: bool, z: FloatArray | None, generator: np.random.Generator
     ) -> "ExplorerState":
