@@ -1,7 +1,6 @@
 """A robot that explores with a meta-learned policy and learns from what it finds."""
 
 import os
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from maesn.runtime.acting import Actor
 from maesn.runtime.arrays import FloatArray, finite_vector
 from maesn.runtime.episode import Episode
 from maesn.runtime.exported import ExportedPolicy
-from maesn.runtime.learning import AdaptationInfo, learned, surprise
+from maesn.runtime.learning import AdaptationInfo, learned
 from maesn.runtime.policy import ConditionedPolicy
 from maesn.runtime.safeguards import Safeguards
 from maesn.runtime.search import Beliefs
@@ -279,8 +278,6 @@ class Explorer:
         """
         self._state.refuse_running("adapt")
         horizon = self.exported.search_horizon
-        if complaint := surprise(self._state, horizon):
-            warnings.warn(complaint, stacklevel=2)
         self._state, info = learned(self._state, self.exported.rule, self.safeguards, horizon)
         return info
 

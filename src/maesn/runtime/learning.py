@@ -1,5 +1,6 @@
 """One update of the latent from a batch of episodes, with its safeguards."""
 
+import warnings
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -46,19 +47,14 @@ def learned(
     return ExplorerState(latent, state.update + 1), info
 
 
-def surprise(state: ExplorerState, horizon: int) -> str:
-    """Return a sentence if the next update is the first with returns that no prior explains."""
-    if state.search is None or state.search.is_surprised:
-        return ""
-    return state.search.complaint(state.readings(horizon))
-
-
 def _after_search(
     state: ExplorerState, search: LatentSearch, horizon: int
 ) -> tuple[ExplorerState, AdaptationInfo]:
     """Return the state after an update of the search; its latent is the one to deploy."""
     readings = state.readings(horizon)
     _refuse_fewer(1, len(readings))
+    if not search.is_surprised and (complaint := search.complaint(readings)):
+        warnings.warn(complaint, stacklevel=4)  # of who calls `Explorer.adapt`
     search = search.after(readings)
     latent = replace(state.latent, mean=search.points[search.best])
     mean_return = float(np.mean([one.episode_return for one in readings]))
