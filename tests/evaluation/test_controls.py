@@ -6,7 +6,7 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn.rules import StationaryRule, Trained
 from maesn.runs.run import Run
-from maesn.runtime.kernel import matern
+from maesn.runtime.return_model import matern
 from maesn.search import PriorSettings
 from maesn.search.stored import run_prior
 

@@ -10,9 +10,15 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern
 
 from maesn.runtime.arrays import FloatArray
-from maesn.runtime.kernel import ROUGHNESS, matern, roughness
 from maesn.runtime.posterior import OUTLIER, Posterior, Reading
-from maesn.runtime.return_model import ReturnModel, ReturnPrior, moments
+from maesn.runtime.return_model import (
+    ROUGHNESS,
+    ReturnModel,
+    ReturnPrior,
+    matern,
+    moments,
+    roughness,
+)
 
 
 def random_prior(
