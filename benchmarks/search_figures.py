@@ -25,8 +25,7 @@ from maesn.evaluation.running import new_tasks
 from maesn.reporting import style
 from maesn.rules import SearchRule
 from maesn.runs.run import Run
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import LatentSearch, SearchSettings
 from maesn.worlds.collector import Collector
 
 SHOWN = (0, 1, 3, 5, 10)  # episodes after which beliefs are drawn

@@ -19,8 +19,7 @@ from maesn.runtime import Moments, moments
 from maesn.runtime.arrays import FloatArray
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import LatentSearch, SearchSettings
 
 FIRST_DRAWS = 3  # random points before a Gaussian process that knows nothing is fitted
 SPREAD = 3.0  # of the archive's draws

@@ -20,7 +20,7 @@ from maesn.evaluation.running import new_tasks
 from maesn.rules import SearchRule, from_text
 from maesn.runs.run import Run
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 from maesn.search import PriorSettings, latent_of, play_archive
 from maesn.search.learner import SearchFastLearner
 from maesn.search.stored import prior_file, read_prior, run_prior

@@ -32,7 +32,7 @@ from maesn.numerics.trust_region import TrustRegion
 from maesn.policies import AnnealedGaussianMLP, CategoricalMLP, GaussianMLP, Recurrent
 from maesn.rules import GradientRule, ThenTrpo
 from maesn.runs.config import RunSettings
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 from maesn.search.prior import PriorSettings
 
 IMPOSSIBLE: dict[Callable[..., Any], list[tuple[str, Any]]] = {

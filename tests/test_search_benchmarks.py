@@ -10,7 +10,7 @@ from small_runs import tiny_maesn, tiny_settings
 
 from maesn import api
 from maesn.runs.run import Run
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 from maesn.search import PriorSettings
 from maesn.search.stored import read_prior, run_prior
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import LatentSearch, SearchSettings
 
 UNIT = 0.0005  # metres; positions are whole multiples of it
 ATTEMPTS, SHOWN = 10, 5  # of a game; those within which a goal counts as found

@@ -10,8 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from maesn.runtime.hypotheses import MixedPosterior, normal_cdf
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import LatentSearch, SearchSettings
 
 FAMILIAR = 0.7
 

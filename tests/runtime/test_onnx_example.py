@@ -18,7 +18,7 @@ from maesn.context import Latent
 from maesn.envs import AnyEnv, Point, Wheeled
 from maesn.evaluation.exporting import exported_policy, write_policy
 from maesn.runtime import Explorer
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 
 onnx = pytest.importorskip("onnx", reason="needs onnx: pip install onnx")
 ort = pytest.importorskip("onnxruntime", reason="needs onnxruntime: pip install onnxruntime")

@@ -17,8 +17,7 @@ from maesn.evaluation.exporting import exported_policy, write_policy
 from maesn.runtime import Explorer, Safeguards
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnPrior
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import LatentSearch, SearchSettings
 from maesn.search import SearchFastLearner
 
 ARCHIVE_ALONE = SearchSettings(draws=0)

@@ -25,7 +25,7 @@ from maesn.runtime.exported import ExportedSearch
 from maesn.runtime.record import decoded, encoded
 from maesn.runtime.return_model import ReturnPrior
 from maesn.runtime.safeguards import Limit
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 from maesn.runtime.storage import Snapshot, write_snapshot
 from maesn.search.stored import find_prior
 from maesn.settings import check_number

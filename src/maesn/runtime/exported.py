@@ -11,7 +11,7 @@ from maesn.runtime.episode import PURPOSES, Purpose
 from maesn.runtime.latent import Latent, LearningRule
 from maesn.runtime.policy import GaussianPolicy
 from maesn.runtime.return_model import ReturnModel, ReturnPrior
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 from maesn.runtime.sensors import Sensors
 
 

@@ -11,7 +11,7 @@ from maesn.axes import Key
 from maesn.learners import AbstractSettableLatent, Purpose
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import NOMINAL, ReturnPrior
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import SearchSettings
 from maesn.search.learner import SearchFastLearner, SearchState
 from maesn.worlds import AbstractWorld
 from maesn.worlds.collector import Collector

@@ -17,8 +17,7 @@ from maesn.experience.episodes import Episodes
 from maesn.learners import AbstractFastLearner, AbstractSettableLatent, Purpose
 from maesn.runtime.posterior import Reading
 from maesn.runtime.return_model import ReturnModel
-from maesn.runtime.search import LatentSearch
-from maesn.runtime.search_settings import SearchSettings
+from maesn.runtime.search import LatentSearch, SearchSettings
 
 logger = logging.getLogger(__name__)
 
