@@ -9,7 +9,7 @@ from runtime.robot import fast_learner
 from maesn.envs import FAMILIES, AnyEnv, TaskFamily, TaskSet
 from maesn.envs.blockpush import blockpush
 from maesn.envs.point import point
-from maesn.search.judging import returns_under, situations
+from maesn.search.prior import returns_under, situations
 from maesn.worlds import make_world
 from maesn.worlds.collector import Collector
 
