@@ -104,7 +104,7 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
             [
                 readings["qpos"],
                 readings["qvel"],
-                _contact_forces(readings).ravel(),
+                contact_forces(readings).ravel(),
                 rotation_matrix(readings["qpos"][3:7]).ravel(),
                 readings["subtree_com"][TORSO],
             ]
@@ -118,11 +118,11 @@ class Ant(AbstractReaching, AbstractMujocoEnv[Goal]):
         if self.variant == "paper":
             return Reward(goal, jnp.zeros(()))
         control_cost = CONTROL_COST * jnp.sum(self.control(action) ** 2)
-        contact_cost = CONTACT_COST * jnp.sum(_contact_forces(seen) ** 2)
+        contact_cost = CONTACT_COST * jnp.sum(contact_forces(seen) ** 2)
         return Reward(goal, SURVIVAL_BONUS - control_cost - contact_cost)
 
     def _goal_reward(self, readings: Readings, goal: Goal) -> Float[Array, ""]:
-        way = _centre(readings) - goal
+        way = readings["subtree_com"][TORSO, :2] - goal
         if self.variant == "paper":
             distance, dense_bonus = jnp.linalg.norm(way), 0.0
         else:
@@ -166,12 +166,9 @@ def rotation_matrix(quaternion: Float[Array, " 4"]) -> Float[Array, "3 3"]:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
-def _contact_forces(readings: Readings) -> Float[Array, "14 6"]:
+def contact_forces(readings: Readings) -> Float[Array, "14 6"]:
+    """Return the clipped contact torques and forces on the world and on each part of the ant."""
     return jnp.clip(readings["cfrc_ext"][:NUM_BODIES], -CONTACT_CLIP, CONTACT_CLIP)
-
-
-def _centre(readings: Readings) -> Float[Array, " 2"]:
-    return readings["subtree_com"][TORSO, :2]
 
 
 def is_sound(readings: Readings) -> Bool[Array, ""]:

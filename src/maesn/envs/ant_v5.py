@@ -34,7 +34,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Action, Readings
-from maesn.envs.ant import CONTACT_CLIP, CONTACT_COST, HEIGHTS, is_sound, last_sound
+from maesn.envs.ant import CONTACT_COST, HEIGHTS, contact_forces, is_sound, last_sound
 from maesn.envs.base import RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
 from maesn.envs.tasks import TaskFamily
@@ -64,7 +64,7 @@ class AbstractAntV5(AbstractWalking[Task]):
     action_size: int = 8
 
     def observe(self, readings: Readings) -> Float[Array, " 107"]:
-        forces = _contact_forces(readings)[1:]  # the world's are not shown
+        forces = contact_forces(readings)[1:]  # the world's are not shown
         return jnp.concatenate([readings["qpos"], readings["qvel"], forces.ravel()])
 
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
@@ -76,9 +76,8 @@ class AbstractAntV5(AbstractWalking[Task]):
 
     def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         """Return the cost of controls and contacts."""
-        return super().costs(readings, action) + CONTACT_COST * jnp.sum(
-            _contact_forces(readings) ** 2
-        )
+        contact_cost = CONTACT_COST * jnp.sum(contact_forces(readings) ** 2)
+        return super().costs(readings, action) + contact_cost
 
 
 class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
@@ -135,10 +134,6 @@ class SparseAntGoal(AntGoal):
 
     def far_reward(self, task: Goal) -> Float[Array, ""]:
         return jnp.asarray(-self.sparse_radius)
-
-
-def _contact_forces(readings: Readings) -> Float[Array, "14 6"]:
-    return jnp.clip(readings["cfrc_ext"], -CONTACT_CLIP, CONTACT_CLIP)
 
 
 def _on_circle(angle: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
