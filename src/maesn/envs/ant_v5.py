@@ -35,7 +35,7 @@ from jaxtyping import Array, Bool, Float
 
 from maesn.axes import Action, Readings
 from maesn.envs.ant import CONTACT_COST, HEIGHTS, contact_forces, is_sound, last_sound
-from maesn.envs.base import RewardKind, Task, Variant
+from maesn.envs.base import Reward, RewardKind, Task, Variant
 from maesn.envs.reaching import AbstractReaching, Goal
 from maesn.envs.tasks import TaskFamily
 from maesn.envs.walking import HORIZON, AbstractPlaceless, AbstractWalking
@@ -70,9 +70,10 @@ class AbstractAntV5(AbstractWalking[Task]):
     def terminated(self, readings: Readings) -> Bool[Array, ""]:
         return jnp.logical_not(is_sound(readings))
 
-    def sound(self, readings: Readings, next_readings: Readings) -> Readings:
-        """Return the state after a step, or if it blew up the last sound one."""
-        return last_sound(readings, next_readings)
+    def reward(
+        self, readings: Readings, action: Action, next_readings: Readings, task: Task
+    ) -> Reward:
+        return super().reward(readings, action, last_sound(readings, next_readings), task)
 
     def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         """Return the cost of controls and contacts."""
@@ -94,7 +95,7 @@ class AntDir(AbstractAntV5[Goal], AbstractPlaceless[Goal]):
     def goal_reward(
         self, readings: Readings, next_readings: Readings, task: Goal
     ) -> Float[Array, ""]:
-        return jnp.dot(self.velocity(readings, next_readings, 2), task)
+        return jnp.dot(self.velocity(readings, next_readings), task)
 
     def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
         return super().costs(readings, action) - SURVIVAL_BONUS

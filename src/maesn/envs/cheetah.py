@@ -56,10 +56,6 @@ class AbstractCheetah(AbstractPlaceless[Task]):
     def observe(self, readings: Readings) -> Float[Array, " 17"]:
         return jnp.concatenate([readings["qpos"][1:], readings["qvel"]])
 
-    def speed(self, readings: Readings, next_readings: Readings) -> Float[Array, ""]:
-        """Return the mean velocity along x in a step, m/s."""
-        return self.velocity(readings, next_readings, 1)[0]
-
 
 class CheetahVel(AbstractCheetah[Float[Array, ""]]):
     """Gymnasium's half cheetah at a hidden target speed; the task is v* in m/s."""
@@ -69,7 +65,7 @@ class CheetahVel(AbstractCheetah[Float[Array, ""]]):
     def goal_reward(
         self, readings: Readings, next_readings: Readings, task: Float[Array, ""]
     ) -> Float[Array, ""]:
-        return -jnp.abs(self.speed(readings, next_readings) - task)
+        return -jnp.abs(self.velocity(readings, next_readings)[0] - task)
 
 
 class CheetahDir(AbstractCheetah[Float[Array, ""]]):
@@ -80,7 +76,7 @@ class CheetahDir(AbstractCheetah[Float[Array, ""]]):
     def goal_reward(
         self, readings: Readings, next_readings: Readings, task: Float[Array, ""]
     ) -> Float[Array, ""]:
-        return task * self.speed(readings, next_readings)
+        return task * self.velocity(readings, next_readings)[0]
 
 
 class Body(NamedTuple):
@@ -102,7 +98,7 @@ class CheetahBody(AbstractCheetah[Body]):
     def goal_reward(
         self, readings: Readings, next_readings: Readings, task: Body
     ) -> Float[Array, ""]:
-        return self.speed(readings, next_readings) + next_readings["qpos"][1]
+        return self.velocity(readings, next_readings)[0] + next_readings["qpos"][1]
 
     def model_fields(self, task: Body) -> dict[str, Array]:
         factors = {
