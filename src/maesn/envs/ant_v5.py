@@ -117,9 +117,6 @@ class AntGoal(AbstractAntV5[Goal], AbstractReaching):
     ) -> Float[Array, ""]:
         return -jnp.abs(next_readings["qpos"][:2] - task).sum()
 
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
-
 
 class SparseAntGoal(AntGoal):
     """Gymnasium's ant that is rewarded near its hidden goal alone."""

@@ -24,6 +24,10 @@ class AbstractReaching(AbstractEnv[Goal]):
     def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
         return self.distance(readings, task) <= self.sparse_radius
 
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        """Return what is seen first of all, by default."""
+        return observation[:2]
+
     def goal(self, task: Goal) -> Goal:
         return task
 
@@ -40,9 +44,6 @@ class AbstractPoint(AbstractReaching, AbstractPureEnv[Goal]):
 
     def observe(self, readings: Readings) -> Float[Array, " 2"]:
         return readings["qpos"]
-
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
 
 
 class AbstractDriving(AbstractReaching):
@@ -83,6 +84,3 @@ class AbstractDriving(AbstractReaching):
     @property
     def uninformative_reward(self) -> float:
         return -self.c_max
-
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        return observation[:2]
