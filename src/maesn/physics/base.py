@@ -1,7 +1,7 @@
 """Words, errors and checks of the physics."""
 
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -35,22 +35,6 @@ class PhysicsError(Exception):
         super().__init__(f"simulation {simulation}: {reason}")
         self.simulation = simulation
         self.reason = reason
-
-
-def find_field(model: mujoco.MjModel, name: str) -> tuple[Any, str]:
-    """Return the object that holds a field of a model, and the field's name in it.
-
-    The name is that of a field of `mujoco.MjModel`, or "opt.<field>" for one of its options;
-    ValueError says that there is none.
-    """
-    owner, _, field = name.rpartition(".")
-    source = model.opt if owner == "opt" else model
-    if owner not in ("", "opt") or not hasattr(source, field):
-        raise ValueError(
-            f"`model_fields` must name fields of `mujoco.MjModel`, or of its options as "
-            f'"opt.<field>", got {name!r}'
-        )
-    return source, field
 
 
 def check_rows(name: str, values: np.ndarray, present: np.ndarray) -> None:

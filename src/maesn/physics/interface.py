@@ -1,12 +1,11 @@
 """What a model calls its readings, fields and actuators, and which controls it lets through."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import mujoco
 import numpy as np
 
-from maesn.physics.base import find_field
 from maesn.physics.loading import load_model
 
 _OBJECT = mujoco.mjtObj
@@ -54,9 +53,19 @@ def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, n
     return {name: np.asarray(getattr(data, name)) for name in names}
 
 
-def field_values(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return fields of a model, or "opt.<field>" of its options, as `find_field` finds them."""
-    return {name: np.asarray(getattr(*find_field(model, name))) for name in names}
+def field_values(model: mujoco.MjModel, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Return fields of a model, or "opt.<field>" of its options; ValueError if there is no such."""
+    values = {}
+    for name in names:
+        owner, _, field = name.rpartition(".")
+        source = model.opt if owner == "opt" else model
+        if owner not in ("", "opt") or not hasattr(source, field):
+            raise ValueError(
+                f"`model_fields` must name fields of `mujoco.MjModel`, or of its options as "
+                f'"opt.<field>", got {name!r}'
+            )
+        values[name] = np.asarray(getattr(source, field))
+    return values
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:

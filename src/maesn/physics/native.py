@@ -16,10 +16,10 @@ from maesn.physics.base import (
     PhysicsError,
     Readings,
     check_rows,
-    find_field,
     is_sound,
     sound_rows,
 )
+from maesn.physics.interface import field_values
 from maesn.physics.loading import load_model
 from maesn.settings import check_choice, check_number
 from maesn.storage import RunError
@@ -166,8 +166,8 @@ class NativeSimulator:
 
     def _write_model_fields(self, fields: ModelFields) -> None:
         """Give simulations their own dynamics, and the model's own to fields not named."""
-        for name in self._expanded - fields.keys():
-            self._batch.expand(name)[...] = getattr(*find_field(self._model, name))
+        for name, own in field_values(self._model, self._expanded - fields.keys()).items():
+            self._batch.expand(name)[...] = own
         for name, value in fields.items():
             expanded = self._batch.expand(name)
             check_rows(name, value, expanded)
