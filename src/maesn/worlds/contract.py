@@ -76,8 +76,9 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
                 f"`{env.name}`: `action_size` must be {model.nu}, as many as the model has "
                 f"actuators, because `control` makes one number of each, got {env.action_size}."
             )
-        readings = _single(resting_readings(model, env.readings))
-        fields = _single(field_values(model, tuple(start.model_fields)))
+        resting = resting_readings(model, env.readings)
+        readings = {name: jnp.asarray(value, jnp.float32) for name, value in resting.items()}
+        fields = field_values(model, start.model_fields)
         yield "initial", (start.qpos, start.qvel), ((model.nq,), (model.nv,))
         yield "model_fields", start.model_fields, jax.tree.map(jnp.shape, fields)
         yield "control", control, (model.nu,)
@@ -85,7 +86,11 @@ def _declared(env: AbstractSimulatedEnv[Any], task: Any) -> Iterator[tuple[str, 
     yield "instruction", instruction, (instruction.size,)
     seen = jax.eval_shape(env.observe, readings)
     yield "observe", seen, (env.observation_size - instruction.size,)
-    yield from _outcomes(env, readings, action, task)
+    rewards = jax.eval_shape(env.reward, readings, action, readings, task)
+    yield "reward", jax.tree.leaves(rewards), [(), ()]  # its two parts
+    yield "terminated", jax.eval_shape(env.terminated, readings), ()
+    yield "truncated", jax.eval_shape(env.truncated, readings), ()
+    yield "solved", jax.eval_shape(env.solved, readings, task), ()
     if env.planar:
         yield "position", jax.eval_shape(env.position, seen), (2,)
         yield "position", jax.eval_shape(env.position, jnp.zeros(env.observation_size)), (2,)
@@ -110,17 +115,3 @@ def _check_period(env: AbstractMujocoEnv[Any], timestep: float) -> None:
             f"model, {env.frame_skip} * {timestep:g} s = {period:g} s, got "
             f"{env.control_period:g} s: robots are controlled at that rate."
         )
-
-
-def _outcomes(
-    env: AbstractSimulatedEnv[Any], readings: Any, action: Array, task: Any
-) -> Iterator[tuple[str, Any, Any]]:
-    reward = jax.eval_shape(env.reward, readings, action, readings, task)
-    yield "reward", jax.tree.leaves(reward), [(), ()]  # its two parts
-    for name in ("terminated", "truncated"):
-        yield name, jax.eval_shape(getattr(env, name), readings), ()
-    yield "solved", jax.eval_shape(env.solved, readings, task), ()
-
-
-def _single(values: Any) -> Any:
-    return {name: jnp.asarray(value, jnp.float32) for name, value in values.items()}
