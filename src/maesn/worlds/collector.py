@@ -27,7 +27,7 @@ from maesn.worlds import (
 )
 from maesn.worlds.budget import check_memory
 from maesn.worlds.contract import check_policy
-from maesn.worlds.outcome import ends, judge, observe, terminates
+from maesn.worlds.outcome import ends, judge, observe
 
 
 @lru_cache(maxsize=64)
@@ -167,8 +167,8 @@ class _Batch(NamedTuple):
         """Return the policies' actions at one step of every episode."""
         env = self.env
         shape = actors.z.shape[:2]
-        readings, previous = jax.tree.map(
-            lambda x: _split_batch_axes(x, shape), (moment.readings, moment.previous_readings)
+        readings, previous = jax.tree.map(  # [simulation, ...] -> [task, episode, ...]
+            lambda x: x.reshape(*shape, *x.shape[1:]), (moment.readings, moment.previous_readings)
         )
         start, is_noisy = moment.step == 0, actors.agents.is_noisy
 
@@ -211,10 +211,9 @@ class _Batch(NamedTuple):
             lambda x: jnp.moveaxis(x, 0, 2), (trajectory.action, trajectory.behaviour)
         )
         judge_one = partial(judge, self.env, actors.agents.policy.observed_reward)
-        observation, reward, observed_reward, solved, ended = jax.vmap(
+        observation, reward, observed_reward, solved, ended, terminated = jax.vmap(
             jax.vmap(judge_one, in_axes=(0, 0, None))
         )(readings, action, actors.tasks)
-        terminated = jax.vmap(jax.vmap(partial(terminates, self.env)))(readings)
         valid = jnp.logical_not(ended[..., :-1])
         trial_end = actors.agents.map(
             jax.vmap(_end_of_trial_so_far, in_axes=(None, 0, 0, 0, 0, 0, 0)),
@@ -273,8 +272,3 @@ class _Finite(NamedTuple):
 def _join_batch_axes(x: Array) -> Array:
     """[task, episode, ...] -> [simulation, ...]."""
     return x.reshape(-1, *x.shape[2:])
-
-
-def _split_batch_axes(x: Array, shape: tuple[int, ...]) -> Array:
-    """[simulation, ...] -> [task, episode, ...]."""
-    return x.reshape(*shape, *x.shape[1:])

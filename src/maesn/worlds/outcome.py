@@ -21,23 +21,17 @@ def ends(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
     return env.terminated(readings) | env.truncated(readings)
 
 
-def terminates(env: AnyEnv, readings: Readings) -> Bool[Array, ""]:
-    """Whether an episode ends first by the task's rules; its states are `[time_plus_1, ...]`."""
-    first = jnp.argmax(jax.vmap(partial(ends, env))(readings))
-    return env.terminated(jax.tree.map(lambda x: x[first], readings))
-
-
 def judge(
     env: AnyEnv,
     received: ObservedReward,
     readings: Readings,
     action: Float[Array, "time action"],
     task: Any,
-) -> tuple[Array, Reward, Array, Array, Array]:
+) -> tuple[Array, Reward, Array, Array, Array, Array]:
     """Return observations, rewards, rewards as the policy receives them, `solved` and `ended`.
 
     Of one episode: rewards are `[time]`, the others `[time_plus_1]`. `ended` says whether the
-    episode has ended at or before each state.
+    episode has ended at or before each state. Last comes whether the task's rules ended it first.
     """
     before = jax.tree.map(lambda x: x[:-1], readings)
     after = jax.tree.map(lambda x: x[1:], readings)
@@ -47,5 +41,6 @@ def judge(
         before, action, after
     )
     solved = jax.vmap(lambda r: env.solved(r, task))(readings)
-    ended = jnp.cumsum(jax.vmap(partial(ends, env))(readings)) > 0
-    return observation, reward, observed, solved, ended
+    over = jax.vmap(partial(ends, env))(readings)
+    terminated = env.terminated(jax.tree.map(lambda x: x[jnp.argmax(over)], readings))
+    return observation, reward, observed, solved, jnp.cumsum(over) > 0, terminated
