@@ -73,10 +73,7 @@ class AbstractGymnasiumEnv(AbstractEnv[Any]):
     def control(self, action: Action) -> Float[Array, " control"]:
         if self.action_kind == "discrete":
             return action
-        lower, upper = (
-            jnp.asarray(bounds, jnp.float32)
-            for bounds in (self.interface.lower, self.interface.upper)
-        )
+        lower, upper = np.array([self.interface.lower, self.interface.upper], np.float32)
         return jnp.clip((lower + upper) / 2 + (upper - lower) / 2 * action, lower, upper)
 
     def observe(self, readings: Readings) -> Float[Array, " observed"]:

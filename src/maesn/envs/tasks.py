@@ -53,10 +53,6 @@ class TaskSet(eqx.Module):
         return sha.hexdigest()[:16]
 
 
-def accept_all(tasks: Any) -> None:
-    """Refuse nothing: every task of the right shape and type has a meaning."""
-
-
 class TaskFamily(NamedTuple):
     """An environment and its distribution over tasks."""
 
@@ -74,17 +70,15 @@ class TaskFamily(NamedTuple):
         {}
     )
     """Draw the tasks of the sets `OUT_OF_DISTRIBUTION`, by their names."""
-    check_tasks: Callable[[Any], None] = accept_all
+    check_tasks: Callable[[Any], None] = lambda tasks: None
     """Raises a `ValueError`, which says what was expected and what came, at tasks that have the
-    right shapes and types and yet no meaning, such as an index out of range."""
+    right shapes and types and yet no meaning, such as an index out of range; by default never."""
     num_tasks: int | None = None
     """How many tasks there are, if they are few: every set is then all of them, in the order in
     which `draw_tasks` gives them. None: sets are drawn, and differ."""
 
     def task_set(self, name: SetName, size: int = SET_SIZE) -> TaskSet:
         """Return one of the family's sets, the same in every process.
-
-        Sets are disjoint, unless the family has few tasks: then each is all of them.
 
         Raises:
             ValueError: the family has no tasks out of distribution, or draws no tasks.
