@@ -66,7 +66,7 @@ class HostedEnvironment:
     def facts(self, task: bytes) -> dict[str, Any]:
         """Return what the environment of a task says of itself."""
         env = self._with_task(task)
-        inner = _unwrapped(env)
+        inner = getattr(env, "unwrapped", env)
         has_steps = inner is not env and _action_layout(env.action_space)[0] in ("Box", "Discrete")
         repeats, clocks = self._first_steps(env, inner) if has_steps else ([1], [])
         own = getattr(getattr(env, "spec", None), "max_episode_steps", None)
@@ -223,10 +223,6 @@ def _layers(env: Any) -> Iterator[Any]:
     while env is not None:
         yield env
         env = None if env is getattr(env, "unwrapped", env) else env.env
-
-
-def _unwrapped(env: Any) -> Any:
-    return getattr(env, "unwrapped", env)
 
 
 def _number(value: Any) -> float | None:
