@@ -41,7 +41,7 @@ import pytest
 
 # The process that hands out tests needs no Matplotlib.
 if TYPE_CHECKING:
-    from maesn.reporting.style import Drawn
+    from matplotlib.figure import Figure
 
 # Bytes of a worker: what lets it forget its compiled programs, and what it may take in all.
 FULL = 1_200_000_000
@@ -114,8 +114,8 @@ def figures_unsaved(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of what is drawn when; `tests/reporting` looks at the pictures.
     """
 
-    def touch(drawn: "Drawn", directory: Path, name: str) -> list[Path]:
-        assert drawn.figure.axes
+    def touch(figure: "Figure", directory: Path, name: str) -> list[Path]:
+        assert figure.axes
         directory.mkdir(parents=True, exist_ok=True)
         files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
         for file in files:

@@ -9,17 +9,17 @@ from matplotlib.figure import Figure
 from synthetic_runs import run
 
 from maesn.reporting.sources import Series, group_series
-from maesn.reporting.style import METHOD_STYLES, Drawn, save_figure
+from maesn.reporting.style import METHOD_STYLES, save_figure
 
 
-def check_saved_whole(drawn: Drawn, directory: Path) -> None:
+def check_saved_whole(figure: Figure, directory: Path) -> None:
     """Save a figure, and check that no label sticks out of it."""
-    png, pdf = save_figure(drawn, directory, "figure")
+    png, pdf = save_figure(figure, directory, "figure")
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
     assert min(file.stat().st_size for file in (png, pdf)) > 5000
-    around = drawn.figure.get_tightbbox()  # inches
-    width, height = drawn.figure.get_size_inches()
+    around = figure.get_tightbbox()  # inches
+    width, height = figure.get_size_inches()
     assert around.x0 >= -0.01
     assert around.y0 >= -0.01
     assert around.x1 <= width + 0.01

@@ -24,12 +24,6 @@ def scores() -> tuple[np.ndarray, np.ndarray]:
     return first.round(1), (difficulty + draws.normal(0.0, 1.0, (3, 40))).round(1)
 
 
-def test_interquartile_mean(scores: tuple[np.ndarray, np.ndarray]) -> None:
-    for one in scores:
-        ours = statistics.bootstrap(statistics.interquartile_mean, one).mean
-        assert ours == pytest.approx(metrics.aggregate_iqm(one), rel=1e-12)
-
-
 def test_probability_of_improvement(scores: tuple[np.ndarray, np.ndarray]) -> None:
     ours = statistics.bootstrap(statistics.improvement, *scores).mean
     assert ours == pytest.approx(metrics.probability_of_improvement(*scores), rel=1e-12)
@@ -44,14 +38,12 @@ def test_performance_profile(scores: tuple[np.ndarray, np.ndarray]) -> None:
 
 @pytest.mark.filterwarnings("ignore:random_state is deprecated:FutureWarning")  # rliable's own
 @pytest.mark.parametrize("axis", ["one seed", "one task"])
-@pytest.mark.parametrize("name", ["mean", "interquartile_mean"])
-def test_intervals(scores: tuple[np.ndarray, np.ndarray], axis: str, name: str) -> None:
+def test_intervals(scores: tuple[np.ndarray, np.ndarray], axis: str) -> None:
     values = scores[0][:1] if axis == "one seed" else scores[0].reshape(-1, 1)
-    ours = statistics.bootstrap(getattr(statistics, name), values)
-    number = {"mean": metrics.aggregate_mean, "interquartile_mean": metrics.aggregate_iqm}[name]
+    ours = statistics.bootstrap(statistics.mean, values)
     _, intervals = library.get_interval_estimates(
         {"first": values},
-        lambda x: np.array([number(x)]),
+        lambda x: np.array([metrics.aggregate_mean(x)]),
         task_bootstrap=axis == "one seed",
         reps=RESAMPLES,
         random_state=np.random.RandomState(0),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figure_checks import check_saved_whole, crowd, ellipses, legend, line, segments
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from synthetic_runs import (
     NUM_EPISODES,
@@ -29,10 +30,10 @@ from maesn.reporting.figures.exploration import (
     shared_limits,
 )
 from maesn.reporting.runs import RecordedExploration
-from maesn.reporting.style import METHOD_STYLES, Drawn
+from maesn.reporting.style import METHOD_STYLES
 
 
-def exploration_figure() -> Drawn:
+def exploration_figure() -> Figure:
     maesn, maml = METHOD_STYLES["maesn"], METHOD_STYLES["maml"]
     return plot_exploration(
         [
@@ -42,12 +43,12 @@ def exploration_figure() -> Drawn:
     )
 
 
-def crowded_exploration_figure() -> Drawn:
+def crowded_exploration_figure() -> Figure:
     reach = adaptation_table().prior_reach
     return plot_exploration([(one.style, exploration(), reach) for one in crowd()])
 
 
-FIGURES: dict[str, Callable[[], Drawn]] = {
+FIGURES: dict[str, Callable[[], Figure]] = {
     "exploration": exploration_figure,
     "crowded exploration": crowded_exploration_figure,
     "tasks": lambda: plot_task_distribution(exploration()),
@@ -58,13 +59,13 @@ FIGURES: dict[str, Callable[[], Drawn]] = {
 
 @pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
 def test_every_figure_is_saved_with_nothing_cut_off(
-    tmp_path: Path, make: Callable[[], Drawn]
+    tmp_path: Path, make: Callable[[], Figure]
 ) -> None:
     check_saved_whole(make(), tmp_path)
 
 
 def test_exploration() -> None:
-    figure = exploration_figure().figure
+    figure = exploration_figure()
     maesn, maml, untrained = figure.axes
     share = round(100 * float((adaptation_table().success_rate[:, 0] > 0).mean()))
     assert maesn.get_title() == f"MAESN\n{share}% of the goals in 50 episodes"
@@ -84,7 +85,7 @@ def test_exploration() -> None:
 def test_the_share_of_the_untrained_policy_leaves_out_what_is_solved_at_reset() -> None:
     def title(recorded: RecordedExploration) -> str:
         drawn = plot_exploration([(METHOD_STYLES["maesn"], recorded, "")])
-        return str(drawn.figure.axes[-1].get_title())
+        return str(drawn.axes[-1].get_title())
 
     # 2 of the 7 tasks that are not solved at reset.
     assert title(exploration()) == "untrained policy\n29% of the goals in 10 episodes"
@@ -105,7 +106,7 @@ def test_limits_hold_discs_and_paths_and_colours_cover_directions() -> None:
 
 
 def test_task_distribution() -> None:
-    figure = plot_task_distribution(exploration()).figure
+    figure = plot_task_distribution(exploration())
     (axes,) = figure.axes
     assert legend(figure) == [
         "10 training goals",
@@ -128,7 +129,7 @@ def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
     adapted_to = np.stack([layout - 5.0] * NUM_TASKS)
     figure = plot_task_distribution(
         replace(exploration(), training_landmarks=training, landmarks=adapted_to)
-    ).figure
+    )
     (axes,) = figure.axes
     drawn = line(axes, "objects of training tasks")
     np.testing.assert_array_equal(drawn, np.concatenate([layout, layout + 5.0]))
@@ -136,7 +137,7 @@ def test_task_distribution_shows_what_tasks_lay_out_beside_goals() -> None:
 
 
 def test_latents() -> None:
-    figure = plot_latents(latents(), half_circle(NUM_TASKS)).figure
+    figure = plot_latents(latents(), half_circle(NUM_TASKS))
     before, after, bar = figure.axes
     assert (before.get_title(), after.get_title()) == ("before adaptation", "after update 3")
     assert legend(figure) == ["prior N(0, I), 1σ", "a task's latent distribution, 1σ"]
@@ -154,7 +155,7 @@ def test_latents() -> None:
 
 
 def test_latents_show_the_components_that_spread_most() -> None:
-    axes = plot_latents(latents(num_components=4)).figure.axes
+    axes = plot_latents(latents(num_components=4)).axes
     assert len(axes) == 2  # without goals there is no scale of directions
     assert (axes[0].get_xlabel(), axes[0].get_ylabel()) == (
         "latent component 3",
@@ -163,7 +164,7 @@ def test_latents_show_the_components_that_spread_most() -> None:
 
 
 def test_structured_noise() -> None:
-    figure = plot_structured_noise(exploration()).figure
+    figure = plot_structured_noise(exploration())
     sampled, fixed, bar = figure.axes
     assert sampled.get_title().startswith("z sampled from the prior\n")
     # All episodes with the fixed latent end in one place.

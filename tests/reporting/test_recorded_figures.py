@@ -47,7 +47,7 @@ def test_latents_have_the_colours_of_their_own_goals(
     table = replace(adaptation_table(num_tasks), tasks=tasks)
     drawn = plot_adapted_latents(compared(tmp_path, table))
     assert drawn is not None
-    labels = [axes.get_ylabel() for axes in drawn.figure.axes]
+    labels = [axes.get_ylabel() for axes in drawn.axes]
     assert ("direction of the goal (°)" in labels) == is_coloured
 
 
@@ -59,7 +59,7 @@ def test_a_share_of_goals_is_said_of_those_that_are_drawn(tmp_path: Path) -> Non
     def title(comparison: Comparison) -> str:
         drawn = plot_paths(comparison)
         assert drawn is not None
-        return drawn.figure.axes[0].get_title()
+        return drawn.axes[0].get_title()
 
     table = adaptation_table()
     share = (table.explored_success_rate[:, 0] > 0).mean()  # of the first seed

@@ -13,7 +13,6 @@ from maesn.reporting.statistics import (
     curve,
     cvar,
     improvement,
-    interquartile_mean,
     mean,
     score,
 )
@@ -134,28 +133,12 @@ def test_other_tasks_cannot_be_paired(statistic: Any, sizes: tuple[int, ...]) ->
         bootstrap(statistic, *(draw(1, size) for size in sizes))
 
 
-def test_the_interquartile_mean_is_that_of_the_middle_half_of_all_values() -> None:
-    values = np.random.default_rng(0).permutation([*range(1, 8), 1e6]).reshape(2, 4)
-    interval = bootstrap(interquartile_mean, values)
-    assert interval.mean == np.mean([3, 4, 5, 6])
-
-
 def test_the_worst_tasks_are_those_of_each_seed() -> None:
     values = np.stack([np.arange(20.0), np.arange(20.0)[::-1]])
     assert cvar(values) == 0.5  # tasks 0 and 1 of one seed, 18 and 19 of the other
     assert cvar(values[:, :9]) == np.mean([0.0, 11.0])  # never less than one task
     spread = bootstrap(cvar, draw(1, 200))
     assert spread.low < spread.mean < scipy.stats.norm.ppf(0.1) < spread.high + 1
-
-
-def test_the_interval_of_an_interquartile_mean_of_many_values_is_the_asymptotic_one() -> None:
-    # Variance of a trimmed mean: that of the winsorised values, over (1 - 2 * 0.25)^2 n.
-    values = draw(1, 400)
-    ends = np.quantile(values, [0.25, 0.75])
-    expected = np.clip(values, *ends).std() / (0.5 * math.sqrt(values.size))
-    error = bootstrap(interquartile_mean, values).standard_error
-    # Beside chance: the bootstrap moves the quartiles, which the formula takes as they are.
-    assert error == pytest.approx(expected, rel=0.1)
 
 
 def test_the_probability_of_improvement_counts_pairs_of_seeds_within_tasks() -> None:

@@ -9,7 +9,6 @@ from matplotlib.colors import to_rgb
 from maesn.reporting.style import (
     METHOD_STYLES,
     TWO_COLUMNS,
-    Drawn,
     MethodStyle,
     new_figure,
     publication_style,
@@ -41,7 +40,7 @@ def test_the_users_settings_are_left_alone_and_not_used(tmp_path: Path) -> None:
         before = dict(mpl.rcParams)
         with publication_style():
             axes = new_figure(2.0, 1.0).subplots()
-        save_figure(Drawn(axes.figure), tmp_path, "figure")
+        save_figure(axes.figure, tmp_path, "figure")
         assert dict(mpl.rcParams) == before
     assert axes.xaxis.label.get_fontsize() == 8.0
     assert axes.figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
@@ -52,7 +51,7 @@ def test_files_are_repeatable_sized_and_embed_their_fonts(tmp_path: Path) -> Non
         with publication_style():
             figure = new_figure(TWO_COLUMNS, 2.0)
             figure.subplots().set_xlabel("update")
-        save_figure(Drawn(figure), tmp_path / "new" / "directory", name)
+        save_figure(figure, tmp_path / "new" / "directory", name)
     folder = tmp_path / "new" / "directory"
     for suffix in ("png", "pdf"):
         first, second = (folder / f"{name}.{suffix}" for name in ("first", "second"))

@@ -5,18 +5,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from matplotlib.figure import Figure
+
 from maesn.reporting.comparison import Comparison, Line, tidy_rows
 from maesn.reporting.figures import exploration
 from maesn.reporting.figures.curves import (
     learning_charts,
+    plot_charts,
     plot_curves,
     plot_ends,
-    plot_learning_curves,
     plot_profiles,
 )
 from maesn.reporting.runs import RECORDED_TASKS, Latents, RecordedExploration, read_recorded
 from maesn.reporting.sources import Compared
-from maesn.reporting.style import Drawn, save_figure
+from maesn.reporting.style import save_figure
 from maesn.reporting.tables import TextTable, summary_tables, to_page
 from maesn.storage import write_rows, write_whole
 
@@ -42,7 +44,7 @@ def write_report(study: Compared, out: Path) -> Reported:
     files: list[Path] = []
     tables: list[TextTable] = []
     for reward, charts in learning_charts(study.series).items():
-        files += save_figure(plot_learning_curves(charts), out, f"learning-{reward}")
+        files += save_figure(plot_charts(charts), out, f"learning-{reward}")
     rows = ({"comparison": x.name, **row} for x in study.comparisons for row in tidy_rows(x))
     if study.comparisons and not study.series:
         write_rows(out / RESULTS, rows)
@@ -64,17 +66,17 @@ def _draw(comparison: Comparison, figure: Mapping[str, Any], out: Path) -> list[
     lines = tuple(one for one in comparison.lines if not chosen or chosen & {one.name, one.source})
     if not lines or comparison.family not in (figure.get("families") or [comparison.family]):
         return []
-    drawn = _KINDS[figure["kind"]](replace(comparison, lines=lines))
-    return save_figure(drawn, out, f"{figure['name']}-{comparison.name}") if drawn else []
+    picture = _KINDS[figure["kind"]](replace(comparison, lines=lines))
+    return save_figure(picture, out, f"{figure['name']}-{comparison.name}") if picture else []
 
 
-def plot_tasks(comparison: Comparison) -> Drawn | None:
+def plot_tasks(comparison: Comparison) -> Figure | None:
     """Draw the tasks of training and those adapted to; None if nothing was recorded."""
     found = _recorded(comparison)
     return exploration.plot_task_distribution(found[0][1]) if found else None
 
 
-def plot_paths(comparison: Comparison) -> Drawn | None:
+def plot_paths(comparison: Comparison) -> Figure | None:
     """Draw what each run explores before adaptation; None if nothing was recorded."""
     panels = []
     for line, record in _recorded(comparison):
@@ -86,13 +88,13 @@ def plot_paths(comparison: Comparison) -> Drawn | None:
     return exploration.plot_exploration(panels) if panels else None
 
 
-def plot_noise(comparison: Comparison) -> Drawn | None:
+def plot_noise(comparison: Comparison) -> Figure | None:
     """Draw paths with z drawn and with z held, of the first run with a latent; None without one."""
     found = [record for _, record in _recorded(comparison) if record.fixed_paths is not None]
     return exploration.plot_structured_noise(found[0]) if found else None
 
 
-def plot_adapted_latents(comparison: Comparison) -> Drawn | None:
+def plot_adapted_latents(comparison: Comparison) -> Figure | None:
     """Draw the latents, of two components or more, of the first method that has such."""
     goals = {line.source: record.goals for line, record in _recorded(comparison)}
     for line in comparison.lines:

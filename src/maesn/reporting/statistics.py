@@ -57,20 +57,6 @@ def mean(x: Values) -> Float[np.ndarray, "*batch"]:
     return np.asarray(x.mean((-2, -1)))
 
 
-def interquartile_mean(x: Values) -> Float[np.ndarray, "*batch"]:
-    """Return the mean of the middle half of all values, on which a few outliers have no influence.
-
-    (Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice",
-    NeurIPS 2021)
-    """
-    values = x.reshape(*x.shape[:-2], -1)
-    cut = values.shape[-1] // 4
-    # As `scipy.stats.trim_mean` does it, whose module takes half a second to import.
-    ordered = np.partition(values, (cut, values.shape[-1] - cut - 1), axis=-1)
-    middle = ordered[..., cut : values.shape[-1] - cut].mean(-1)
-    return np.where(np.isnan(values).any(-1), np.nan, middle)
-
-
 def cvar(x: Values) -> Float[np.ndarray, "*batch"]:
     """Return the mean over each seed's worst tenth of tasks, its conditional value at risk.
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import matplotlib.style
 from matplotlib.figure import Figure
@@ -101,26 +101,16 @@ def settle(figure: Figure) -> None:
     figure.set_layout_engine("none")
 
 
-class Drawn(NamedTuple):
-    """A figure, and what its caption has to say."""
-
-    figure: Figure
-    notes: Sequence[str] = ()
-
-
-def save_figure(drawn: Drawn, directory: Path, name: str) -> list[Path]:
-    """Write `<name>.png` and `<name>.pdf`, and the notes as `<name>.txt`; return the pictures.
+def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Write `<name>.png` and `<name>.pdf`, and return their paths.
 
     The same figure gives the same bytes every time.
     """
     files = [directory / f"{name}.{suffix}" for suffix in ("png", "pdf")]
-    if drawn.notes:
-        sentences = "".join(f"{note[0].upper()}{note[1:]}.\n" for note in drawn.notes)
-        write_whole(directory / f"{name}.txt", sentences.encode())
     with publication_style():
-        settle(drawn.figure)
+        settle(figure)
         for file in files:
-            write_whole(file, rendered(drawn.figure, file.suffix[1:]))
+            write_whole(file, rendered(figure, file.suffix[1:]))
     return files
 
 

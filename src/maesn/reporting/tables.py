@@ -207,7 +207,7 @@ def _ends(comparison: Comparison, addition: str) -> TextTable:
         headings,
         tuple(tuple(row[name] for name in headings) for row in rows),
         sentences(
-            f"mean and interquartile mean (IQM) of the {first.reward}-reward curves' last points",
+            f"means of the {first.reward}-reward curves' last points",
             note_on_judging(comparison.lines),
             note_on_training(comparison.lines),
             f"in brackets: {INTERVAL}",
@@ -236,7 +236,6 @@ def _end(comparison: Comparison, line: Line) -> dict[str, str]:
         "updates": str(line.table.updates[-1]),
         "steps": f"{line.table.episodes[-1] * comparison.horizon:,}" if comparison.horizon else "",
         "return": returns.text(bootstrap(statistics.mean, last)),
-        "IQM": returns.text(bootstrap(statistics.interquartile_mean, last)),
         success.heading: success.text(bootstrap(statistics.mean, line.column(-1, "success_rate"))),
         "score": score,
     }

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
 from maesn.reporting import statistics, style
-from maesn.reporting.comparison import Comparison, Line, note_on_judging
+from maesn.reporting.comparison import Comparison, Line
 from maesn.reporting.runs import LearningCurve
 from maesn.reporting.sources import Series
-from maesn.reporting.style import DARK_GREY, METHOD_STYLES, Drawn, MethodStyle
+from maesn.reporting.style import DARK_GREY, METHOD_STYLES, MethodStyle
 
 # Every iteration draws other tasks, so single ones scatter. A window of 1/30 of the run halves the
 # scatter of 100 iterations at the price of 3 % of the horizontal resolution.
@@ -132,36 +132,22 @@ def moving_mean(
     return np.stack([np.convolve(row, ones, mode="same") for row in values]) / counts
 
 
-def plot_curves(comparison: Comparison) -> Drawn:
+def plot_curves(comparison: Comparison) -> Figure:
     """Draw return and success over the episodes in the new task."""
-    lines = comparison.lines
-    most = max(line.num_tasks for line in lines)
-    fewer = [line for line in lines if line.num_tasks < most]
-    notes = [
-        f"bands: {statistics.INTERVAL}; circles: as published, where the paper shows the method",
-        note_on_judging(lines),
-        *(line.beyond for line in lines if line.beyond),
-        *(f"{line.label}: the first {line.num_tasks} of {most} tasks alone" for line in fewer),
-    ]
-    return Drawn(plot_charts(adaptation_charts(comparison), comparison.title), notes)
+    return plot_charts(adaptation_charts(comparison), comparison.title)
 
 
-def plot_profiles(comparison: Comparison) -> Drawn:
+def plot_profiles(comparison: Comparison) -> Figure:
     """Draw, for each return, in which share of tasks and seeds a line ends above it."""
-    figure = plot_charts([profile_chart(comparison)], comparison.title)
-    return Drawn(figure, [f"bands: {statistics.INTERVAL}", note_on_judging(comparison.lines)])
-
-
-def plot_learning_curves(charts: Sequence[Chart]) -> Drawn:
-    """Draw meta-training; the iterations of a single seed lie behind its line."""
-    share = f"lines: moving average over {WINDOW_SHARE:.0%} of the iterations"
-    notes = [share, "bands: range over the seeds; thin: iterations of a single seed"]
-    return Drawn(plot_charts(charts), notes)
+    return plot_charts([profile_chart(comparison)], comparison.title)
 
 
 @style.publication_style()
-def plot_ends(comparison: Comparison) -> Drawn:
-    """Draw each line's last mean return and success as a dot with its 95 % interval."""
+def plot_ends(comparison: Comparison) -> Figure:
+    """Draw each line's last mean return and success as a dot with its 95 % interval.
+
+    Small dots are seeds, vertical lines baseline (dotted) and oracle.
+    """
     lines = comparison.lines[::-1]
     figure = style.new_figure(style.TWO_COLUMNS, 0.9 + 0.22 * len(lines))
     returns, success = figure.subplots(1, 2, sharey=True)
@@ -172,16 +158,14 @@ def plot_ends(comparison: Comparison) -> Drawn:
             axes.plot([interval.low, interval.high], [row, row], **colour)
             axes.plot(ends.mean(axis=1), [row] * len(ends), ".", **colour, markersize=2.5)
             axes.plot(interval.mean, row, line.style.marker, **colour)
-    notes = [f"dots: means after the last update; bars: {statistics.INTERVAL}; small dots: seeds"]
     for name, value in comparison.references().items():
         returns.axvline(value, color=DARK_GREY, linestyle=REFERENCES[name])
-        notes.append(f"{'dotted' if REFERENCES[name] == ':' else 'solid'} line: {name}")
     success.set(xlabel="success rate", xlim=(-0.03, 1.03))
     success.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     returns.set_yticks(range(len(lines)), [line.label for line in lines])
     returns.set(xlabel=f"mean {lines[0].table.reward} return", ylim=(-0.6, len(lines) - 0.4))
     returns.set_title(comparison.title, loc="left")
-    return Drawn(figure, notes)
+    return figure
 
 
 @style.publication_style()

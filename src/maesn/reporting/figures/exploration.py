@@ -38,7 +38,7 @@ _ANGLE_STEP = 30.0  # degrees; the scale's ends and ticks are multiples
 
 
 @style.publication_style()
-def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
+def plot_task_distribution(exploration: RecordedExploration) -> Figure:
     """Draw the goals of training, those adapted to, and the size of one goal region.
 
     Objects that a task lays out beside its goal, such as blocks, are drawn as well.
@@ -71,13 +71,13 @@ def plot_task_distribution(exploration: RecordedExploration) -> style.Drawn:
     axes.add_patch(region)
     _set_plane(axes, limits)
     figure.legend(loc="outside lower center", ncols=2, columnspacing=1.2)
-    return style.Drawn(figure)
+    return figure
 
 
 @style.publication_style()
 def plot_exploration(
     explored: Sequence[tuple[style.MethodStyle, RecordedExploration, str]],
-) -> style.Drawn:
+) -> Figure:
     """Draw trajectories from the prior over the goals, and an untrained policy's beside them.
 
     Each method comes with its record and the share of goals that it reaches, in words; empty if
@@ -94,11 +94,11 @@ def plot_exploration(
             (untrained, first.untrained_paths, reach),
         )
     ]
-    return style.Drawn(_draw_explored(first, drawn))
+    return _draw_explored(first, drawn)
 
 
 @style.publication_style()
-def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
+def plot_structured_noise(exploration: RecordedExploration) -> Figure:
     """Draw trajectories with the latent drawn from the prior beside those with it fixed.
 
     Colours are the direction in which an episode ends.
@@ -117,7 +117,7 @@ def plot_structured_noise(exploration: RecordedExploration) -> style.Drawn:
         drawn.append((f"{title}\nfinal positions spread {spread:.2f} m", paths, colours))
     figure = _draw_explored(exploration, drawn)
     _direction_bar(figure, scale, "final direction (°)")
-    return style.Drawn(figure)
+    return figure
 
 
 def _draw_explored(
@@ -148,7 +148,7 @@ def _draw_explored(
 
 
 @style.publication_style()
-def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
+def plot_latents(latents: Latents, goals: Points | None = None) -> Figure:
     """Draw every task's latent distribution as its 1-sigma ellipse, before and after adaptation.
 
     The prior N(0, I) is a dashed circle of radius 1. Of more than two components, those whose means
@@ -182,7 +182,7 @@ def plot_latents(latents: Latents, goals: Points | None = None) -> style.Drawn:
         "a task's latent distribution, 1σ": Line2D([], [], color=style.GREY, linewidth=0.7),
     }
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2)
-    return style.Drawn(figure)
+    return figure
 
 
 def shared_limits(points: Sequence[Float[np.ndarray, "... 2"]], radius: float = 0.0) -> Bbox:
