@@ -115,7 +115,7 @@ def test_pipes_and_devices_are_refused(tmp_path: Path) -> None:
             read_arrays(path)
 
 
-def test_objects_are_not_written() -> None:
+def test_objects_are_refused() -> None:
     with pytest.raises(ValueError, match="Object arrays"):
         npz({"goal": np.array([{}], dtype=object)})
 

@@ -73,6 +73,7 @@ class AbstractAntV5(AbstractWalking[Task]):
     def reward(
         self, readings: Readings, action: Action, next_readings: Readings, task: Task
     ) -> Reward:
+        """Return the reward of a step; if the state blew up, that of the last sound one."""
         return super().reward(readings, action, last_sound(readings, next_readings), task)
 
     def costs(self, readings: Readings, action: Action) -> Float[Array, ""]:
@@ -116,6 +117,9 @@ class AntGoal(AbstractAntV5[Goal], AbstractReaching):
         self, readings: Readings, next_readings: Readings, task: Goal
     ) -> Float[Array, ""]:
         return -jnp.abs(next_readings["qpos"][:2] - task).sum()
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]
 
 
 class SparseAntGoal(AntGoal):

@@ -86,7 +86,8 @@ class AbstractEnv(eqx.Module, Generic[Task]):
         check_choice("variant", self.variant, self.variants)
         check_choice("reward_kind", self.reward_kind, RewardKind)
         check_number("horizon", self.horizon, 1)
-        check_number("sparse_radius", self.sparse_radius, 0)
+        if not self.sparse_radius >= 0:
+            raise ValueError(f"`sparse_radius` must be at least 0, got {self.sparse_radius}.")
 
     def __hash__(self) -> int:
         """Hash arrays by their shape: they have no hash, and equality compares their values."""

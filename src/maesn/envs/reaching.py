@@ -24,10 +24,6 @@ class AbstractReaching(AbstractEnv[Goal]):
     def solved(self, readings: Readings, task: Goal) -> Bool[Array, ""]:
         return self.distance(readings, task) <= self.sparse_radius
 
-    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
-        """Return what is seen first of all, by default."""
-        return observation[:2]
-
     def goal(self, task: Goal) -> Goal:
         return task
 
@@ -44,6 +40,9 @@ class AbstractPoint(AbstractReaching, AbstractPureEnv[Goal]):
 
     def observe(self, readings: Readings) -> Float[Array, " 2"]:
         return readings["qpos"]
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]
 
 
 class AbstractDriving(AbstractReaching):
@@ -84,3 +83,6 @@ class AbstractDriving(AbstractReaching):
     @property
     def uninformative_reward(self) -> float:
         return -self.c_max
+
+    def position(self, observation: Float[Array, " observation"]) -> Float[Array, " 2"]:
+        return observation[:2]

@@ -60,7 +60,7 @@ class AbstractWalking(AbstractMujocoEnv[Task]):
         return self.control_cost * jnp.sum(self.control(action) ** 2)
 
     def velocity(self, readings: Readings, next_readings: Readings) -> Float[Array, " 2"]:
-        """Return the mean velocity in a step in x and y, or a cheetah's in x and z; m/s."""
+        """Return the mean velocity in a step, m/s: along x and y, or x and z of a cheetah."""
         return (next_readings["qpos"][:2] - readings["qpos"][:2]) / self.control_period
 
     def situation(self, task: Task) -> Any:

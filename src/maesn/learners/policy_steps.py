@@ -171,7 +171,7 @@ class ProximalStep(AbstractPolicyStep):
         trials: Trials,
         advantages: Float[Array, "trial time"],
     ) -> tuple[Float[Array, ""], ProximalInfo]:
-        """Return L of distributions `[trial time action]`, and what is logged of it."""
+        """Return the loss L at distributions `new`, `[trial time action]`, and what is logged."""
         valid = trials.valid
         ratio = probability_ratio(new, trials)
         bounded = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)

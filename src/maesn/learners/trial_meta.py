@@ -171,9 +171,9 @@ class AbstractTrialMetaLearner(AbstractMetaLearner[MetaState, Info]):
     def advantages(
         self, trials: Trials, expected: Float[Array, "trial time"]
     ) -> Float[Array, "trial time"]:
-        """Return the advantage over `expected`, V_t, of every step, up to the end of its trial.
+        """Return the advantage of every step over V_t, `expected`; it is not standardised.
 
-        It is not standardised.
+        It reaches over the episodes of the whole trial.
         """
         return jax.vmap(trial_advantages, in_axes=(0, 0, 0, None, None))(
             trials.reward, expected, trials.valid, self.discount, self.gae_lambda

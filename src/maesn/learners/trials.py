@@ -78,7 +78,7 @@ def join_episodes(episodes: Sequence[Episodes]) -> Trials:
 
 
 def trials_of(agent: Agent, episodes: Episodes) -> Trials:
-    """Return the episodes `[episode, time, ...]` of one task's agent as trials of one episode."""
+    """Return an agent's episodes `[episode, time, ...]` in one task, each as a trial of its own."""
     return Trials(*_steps(episodes, agent.perceive(episodes.policy_inputs())), episodes.z)
 
 

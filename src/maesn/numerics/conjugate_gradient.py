@@ -53,7 +53,7 @@ def conjugate_gradient(
     """
 
     def step(iterate: _Iterate, _: None) -> tuple[_Iterate, None]:
-        image = product(iterate.direction)
+        image = product(iterate.direction)  # A p_k
         curvature = multiply(iterate.direction, image)
         # Negated comparisons, because NaN must count as unfinished and reach the solution.
         active = ~(iterate.squared_norm <= residual_tolerance) & ~(curvature <= 0.0)

@@ -17,7 +17,10 @@ def first_order_step(
     gradient: Parameters,
     opt_state: optax.OptState,
 ) -> tuple[Parameters, optax.OptState]:
-    """Return the parameters and the optimiser's state after one step along a loss's gradient."""
+    """Return parameters and state of the optimiser after a step down the gradient of a loss.
+
+    The first state is `optimizer.init(parameters)`.
+    """
     # Optax raises floats to integer powers, which strict promotion refuses.
     with jax.numpy_dtype_promotion("standard"):
         change, opt_state = optimizer.update(gradient, opt_state, parameters)

@@ -133,20 +133,21 @@ def num_shards() -> int:
 
 def total(tree: Tree) -> Tree:
     """Return the sum over all devices."""
-    return _inside(jax.lax.psum, tree)
+    return _exchanged(jax.lax.psum, tree)
 
 
 def mean(tree: Tree) -> Tree:
     """Return the mean over all devices, which hold equally many tasks."""
-    return _inside(jax.lax.pmean, tree)
+    return _exchanged(jax.lax.pmean, tree)
 
 
 def gather(tree: Tree) -> Tree:
     """Return the rows of all devices, in the order of their task slots."""
-    return _inside(partial(jax.lax.all_gather, tiled=True), tree)
+    return _exchanged(partial(jax.lax.all_gather, tiled=True), tree)
 
 
-def _inside(communicate: Callable[[Tree, str], Tree], tree: Tree) -> Tree:
+def _exchanged(communicate: Callable[[Tree, str], Tree], tree: Tree) -> Tree:
+    """Return what the devices make of a tree together; outside of their program, the tree."""
     return communicate(tree, AXIS) if _is_inside() else tree
 
 

@@ -44,7 +44,8 @@ def generalized_advantages(
         δ_t = r_t + γ V_{t+1} - V_t
         A_t = δ_t + γλ A_{t+1},  A_n = 0,   for t in [0, n-1]
 
-    where V_n = 0. With λ = 1, A_t = G_t - V_t; with λ = 0, A_t = δ_t.
+    where V_n = 0: there is no reward after the last valid step. With λ = 1, A_t = G_t - V_t; with
+    λ = 0, A_t = δ_t.
 
     Source: Schulman et al., "High-dimensional continuous control using generalized advantage
     estimation" (2016), equations 11 to 16, https://arxiv.org/abs/1506.02438.
@@ -74,10 +75,10 @@ def trial_advantages(
 ) -> Float[Array, "time"]:
     """Generalised advantage estimates over a trial: several episodes, one behind the other.
 
-    As `generalized_advantages`, but with gaps: an episode that ended early is
-    followed by invalid steps, and then by the next episode. The recursion runs over the valid
-    steps as if they were neighbours. So exploration in an early episode is credited with the
-    rewards of later ones, discounted by the steps between (Duan et al. 2016, section 2.2).
+    As `generalized_advantages`, but with gaps: an episode that ended early is followed by invalid
+    steps, and then by the next episode. The recursion runs over the valid steps as if they were
+    neighbours. So exploration in an early episode is credited with the rewards of later ones,
+    discounted by the steps between (Duan et al. 2016, section 2.2).
 
     Args:
         reward: r_t, t in [0, T-1], over all episodes of the trial.

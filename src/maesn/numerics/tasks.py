@@ -10,7 +10,9 @@ How: TypeAlias = Literal["serial", "vmap"]
 
 
 def map_tasks(function: Callable[..., Any], *rows: Any, how: How = "serial") -> Any:
-    """Map a function of one task over the leading `task` axis of its arguments and results.
+    """Map a function of one task over the leading `task` axis of its arguments, pytrees of arrays.
+
+    Results get that axis too.
 
     On a CPU, `serial` takes half the time of `vmap` for gradients through a policy: the activations
     of one task fit in the cache, those of all tasks do not. It also needs memory for one task only.

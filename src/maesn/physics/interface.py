@@ -54,7 +54,7 @@ def resting_readings(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, n
 
 
 def field_values(model: mujoco.MjModel, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return fields of a model, or "opt.<field>" of its options; ValueError if there is no such."""
+    """Return fields of a model, or "opt.<field>" of its options; ValueError if one is unknown."""
     values = {}
     for name in names:
         owner, _, field = name.rpartition(".")

@@ -71,8 +71,8 @@ def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
 
         P = 1/(S S' T) Σ_t Σ_s Σ_s' ( 1[x_st > y_s't] + 1/2 1[x_st = y_s't] )
 
-    with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al. 2021, "probability of
-    improvement").
+    with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al., "Deep reinforcement learning at
+    the edge of the statistical precipice", NeurIPS 2021, "probability of improvement").
     """
     # sign is -1, 0 or 1: half of it, plus one half, counts a tie as half a win.
     signs = np.sign(x[..., :, None, :] - y[..., None, :, :])

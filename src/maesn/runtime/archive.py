@@ -80,7 +80,7 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def npz(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """Return an `.npz` file of arrays; raises ValueError if one holds Python objects."""
+    """Return the bytes of an `.npz` file; raises ValueError if an array holds Python objects."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     return content.getvalue()

@@ -32,7 +32,8 @@ def learned(
 ) -> tuple[ExplorerState, AdaptationInfo]:
     """Return the state after an update from its episodes, which it no longer holds.
 
-    A search needs the steps of a full episode. RuntimeError says that there are too few episodes,
+    A search needs the steps of a full episode, and warns once of returns that its prior cannot
+    explain. RuntimeError says that there are too few episodes,
     or that the update is not finite.
     """
     if state.search is not None:
@@ -54,7 +55,8 @@ def _after_search(
     readings = state.readings(horizon)
     _refuse_fewer(1, len(readings))
     if not search.is_surprised and (complaint := search.complaint(readings)):
-        warnings.warn(complaint, stacklevel=4)  # of who calls `Explorer.adapt`
+        # At the line that calls `Explorer.adapt`, which calls `learned`, which calls this.
+        warnings.warn(complaint, stacklevel=4)
     search = search.after(readings)
     latent = replace(state.latent, mean=search.points[search.best])
     mean_return = float(np.mean([one.episode_return for one in readings]))

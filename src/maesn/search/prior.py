@@ -116,8 +116,14 @@ def make_prior(
     else:
         few = situations(world.env, world.tasks)[:FEW]
         key = jax.random.fold_in(jax.random.key(settings.seed), _AGAIN)
-        often = replace(settings, episodes=REPEATS)
-        again, lengths = play_archive(latent, world, latents[:REPEATED], often, groups=few, key=key)
+        again, lengths = play_archive(
+            latent,
+            world,
+            latents[:REPEATED],
+            replace(settings, episodes=REPEATS),
+            groups=few,
+            key=key,
+        )
         noises = (again - lengths * offset[:, None, None]).var(axis=2, ddof=1)
         noise = np.full(len(latents), noises[np.concatenate(few)].mean())
     return ReturnPrior(
@@ -139,10 +145,10 @@ def play_archive(
     groups: Sequence[np.ndarray] | None = None,
     key: Key | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Play latents in all tasks of a world, with the arguments of `make_prior`.
+    """Play latents in tasks of a world. The first arguments are those of `make_prior`.
 
-    Or only in some situations, `groups`; the returns of other tasks are then 0. The key of the
-    episodes is by default that of the settings' seed.
+    `groups` are the tasks to play, as `situations` groups them; None: all. Returns of the others
+    are 0. The key is that of the episodes; None: made of `settings.seed`.
 
     Returns:
         Returns, and lengths as a share of the horizon, `[task, latent, episode]` each. Tasks of the

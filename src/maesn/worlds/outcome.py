@@ -28,10 +28,12 @@ def judge(
     action: Float[Array, "time action"],
     task: Any,
 ) -> tuple[Array, Reward, Array, Array, Array, Array]:
-    """Return observations, rewards, rewards as the policy receives them, `solved` and `ended`.
+    """Return what an episode shows and how it fares.
 
-    Of one episode: rewards are `[time]`, the others `[time_plus_1]`. `ended` says whether the
-    episode has ended at or before each state. Last comes whether the task's rules ended it first.
+    These are observations, rewards, rewards as the policy receives them, `solved`, `ended` and
+    `terminated`. Rewards are `[time]`; observations, `solved` and `ended` are `[time_plus_1]`.
+    `ended` says whether the episode has ended at or before a state; `terminated`, one number,
+    whether it ended by the task's rules and not by a time limit alone.
     """
     before = jax.tree.map(lambda x: x[:-1], readings)
     after = jax.tree.map(lambda x: x[1:], readings)

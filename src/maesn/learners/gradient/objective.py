@@ -80,11 +80,11 @@ class MetaObjective(eqx.Module):
     def updated(self, parameters: MetaParameters) -> tuple[Agents, ...]:
         """Return the agents after the first inner update, after the second, and so on."""
         agents = self.start(parameters)
-        stages = []
+        updated = []
         for experience in self.pre:
             agents = self.adaptation(agents, parameters.step_sizes, self.context, *experience)
-            stages.append(agents)
-        return tuple(stages)
+            updated.append(agents)
+        return tuple(updated)
 
     def adapted(self, parameters: MetaParameters) -> Agents:
         """Return the agents after all inner updates."""
@@ -147,10 +147,11 @@ class MetaObjective(eqx.Module):
         loss: Callable[["MetaObjective", MetaParameters], Float[Array, ""]],
         parameters: MetaParameters,
     ) -> tuple[Float[Array, ""], MetaParameters]:
-        """Return the mean over the tasks of any loss of one task's objective, and its gradient.
+        """Return the mean of a loss over all tasks, and its gradient.
 
-        Each task is differentiated separately. Reverse mode through all tasks at once would return
-        the same, but store the activations of all of them.
+        `loss` takes the objective of a single task, and the parameters. Each task is differentiated
+        separately. Reverse mode through all tasks at once would return the same, but store the
+        activations of all of them.
         """
 
         def differentiate(*row: Any) -> tuple[Float[Array, ""], MetaParameters]:

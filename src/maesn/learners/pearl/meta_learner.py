@@ -142,7 +142,8 @@ class PearlMetaLearner(AbstractMetaLearner[PearlState, PearlInfo]):
         )
 
     def _capacity(self, problem: Problem) -> int:
-        features = 2 * problem.observation_size + problem.action_size + 3  # of a `Batch`
+        # Numbers of a transition: the fields of `Batch`.
+        features = 2 * problem.observation_size + problem.action_size + 3
         most = MOST_REPLAY_BYTES // (4 * features * problem.num_tasks)
         capacity = min(self.replay_steps, most)
         visit = self.batches * problem.episodes_per_task * problem.horizon

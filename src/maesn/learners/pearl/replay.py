@@ -31,7 +31,7 @@ class Batch(NamedTuple):
     """1 where the episode ended by the task's own rules, so that no reward can follow; else 0."""
 
     def context(self, with_next: bool) -> Float[Array, "*batch feature"]:
-        """Return what the encoder sees of the transitions, `with_next` the next observation too."""
+        """Return what the encoder sees of transitions; `with_next`: next observations as well."""
         parts = [self.observation, self.action, self.context_reward[..., None]]
         return jnp.concatenate(parts + [self.next_observation] * with_next, axis=-1)
 

@@ -142,7 +142,8 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
     def _capacity(self, problem: Problem) -> tuple[int, int]:
         """Return how many trials the buffer holds, and of how many steps."""
         time = self.trial_episodes * problem.horizon
-        features = 2 * problem.observation_size + problem.action_size + 2  # of `Steps`
+        # Numbers of a step: the fields of `Steps`.
+        features = 2 * problem.observation_size + problem.action_size + 2
         most = MOST_BUFFER_BYTES // (4 * features * time)
         return max(min(self.inference.buffer_trials, most), 1), time
 

@@ -201,7 +201,8 @@ class CuriosityBonus(eqx.Module):
     ) -> Float[Array, ""]:
         """Return -E_q[log p(change | observation, action, weights)] of one transition, in nats.
 
-        Its features are standardised, and the noise of the weights is standard normal.
+        `row` holds its standardised features, `noise` standard normal numbers for each draw of the
+        weights.
         """
         inputs = network.input_size
         predicted = jax.vmap(network, in_axes=(None, 0))(row[:inputs], noise)
