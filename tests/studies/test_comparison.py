@@ -117,6 +117,7 @@ def test_settings_of_methods_from_scratch_reach_them() -> None:
         ("--scratch trpo --out {0}", "`family` must be given"),
         ("--out {0}", "name at least one run directory, or a method with --scratch"),
         ("--family point --scratch sac --out {0}", "`scratch` must be one of reinforce, vpg, trpo"),
+        ("--family point --scratch trop --out {0}", "got `trop`. Did you mean `trpo`?"),
         ("--family point --scratch trpo:x --out {0}", "perhaps as in vime:30, got `trpo:x`"),
         ("--family point --scratch trpo:0 --out {0}", "`num_tasks` must be at least 1, got 0"),
         ("{1} --family wheeled --out {0}", "family is `point`, but `wheeled` was given"),

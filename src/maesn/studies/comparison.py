@@ -15,6 +15,7 @@ from maesn.reporting.runs import read_run
 from maesn.reporting.sources import group_series
 from maesn.runs.config import RunSettings
 from maesn.runs.run import Run
+from maesn.settings import suggestion
 from maesn.storage import RunError
 from maesn.studies.execution import AbstractExecutor, Say
 from maesn.studies.members import trained_run
@@ -115,7 +116,8 @@ def _scratch(text: str) -> tuple[str, ScratchSpec]:
     name, _, count = text.partition(":")
     if name not in SCRATCH or not (count or "1").isdecimal():
         known = f"one of {', '.join(SCRATCH)}, perhaps as in vime:30"
-        raise RunError(f"`scratch` must be {known}, got `{text}`.")
+        hint = "" if name in SCRATCH else suggestion(name, SCRATCH)
+        raise RunError(f"`scratch` must be {known}, got `{text}`.{hint}")
     method = SCRATCH[name].__name__
     with storage.refusals():
         return method, ScratchSpec(method, num_tasks=int(count) if count else None)
