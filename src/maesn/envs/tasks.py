@@ -53,6 +53,10 @@ class TaskSet(eqx.Module):
         return sha.hexdigest()[:16]
 
 
+def accept_all(tasks: Any) -> None:
+    """Refuse nothing: every task of the right shape and type has a meaning."""
+
+
 class TaskFamily(NamedTuple):
     """An environment and its distribution over tasks."""
 
@@ -70,9 +74,9 @@ class TaskFamily(NamedTuple):
         {}
     )
     """Draw the tasks of the sets `OUT_OF_DISTRIBUTION`, by their names."""
-    check_tasks: Callable[[Any], None] = lambda tasks: None
+    check_tasks: Callable[[Any], None] = accept_all
     """Raises a `ValueError`, which says what was expected and what came, at tasks that have the
-    right shapes and types and yet no meaning, such as an index out of range; by default never."""
+    right shapes and types and yet no meaning, such as an index out of range."""
     num_tasks: int | None = None
     """How many tasks there are, if they are few: every set is then all of them, in the order in
     which `draw_tasks` gives them. None: sets are drawn, and differ."""

@@ -33,8 +33,7 @@ def learned(
     """Return the state after an update from its episodes, which it no longer holds.
 
     A search needs the steps of a full episode, and warns once of returns that its prior cannot
-    explain. RuntimeError says that there are too few episodes,
-    or that the update is not finite.
+    explain. RuntimeError says that there are too few episodes, or that the update is not finite.
     """
     if state.search is not None:
         return _after_search(state, state.search, horizon)
