@@ -44,6 +44,7 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("train maesn --tasks absent.npz", "absent.npz"),
         ("train maesn --family point --run {}/config.json", "config.json"),
         ("train maesn --family puck", "got `puck`. Give your own"),
+        ("train maesn --family sparse_point:pearl", "with `pearl` as its `variant`"),
         ("train maesn --family point --meta-batch-size 1000", "`meta_batch_size`"),
         ("resume absent", "absent"),
         ("report {}/..", "there is no run in `{0}/..` itself, but in `{0}/../run`"),

@@ -3,12 +3,13 @@
 import importlib
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
 
-from maesn.envs.catalogue import find_family, is_own
+from maesn.envs.base import Variant
+from maesn.envs.catalogue import find_family, is_own, split_variant
 from maesn.envs.tasks import NAMED_SETS, TaskFamily, TaskSet
 from maesn.storage import RunError, read_arrays, refusals, write_arrays
 
@@ -23,6 +24,9 @@ def resolve_family(name: str) -> TaskFamily:
             return find_family(name)
         except ValueError as error:
             raise RunError(f"{error} Give your own as `module:name`.") from error
+    known, variant = split_variant(name)
+    if variant in get_args(Variant):  # as studies name it
+        raise RunError(f"`family` must be `{known}` here, with `{variant}` as its `variant`.")
     family = imported(name, "family")
     if not isinstance(family, TaskFamily):
         raise RunError(f"`{name}` must be a TaskFamily, got {type(family).__name__}.")
