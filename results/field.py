@@ -272,7 +272,7 @@ def differences(family: str, lines: Sequence[Entry]) -> TextTable:
     rows = []
     for search, one in product(mine, lines):
         alike = {entry.seeds[0]["tasks"] for entry in (search, one)}
-        if one is search or one.is_floor or not one.cells or len(alike) > 1:
+        if one is search or one.is_floor or len(alike) > 1 or not (one.cells and search.cells):
             continue
         pairs = [[x.cells[k].returns for x in (search, one) if k in x.cells] for k in few]
         gaps = (_gap(*pair) if len(pair) == 2 else None for pair in pairs)
@@ -356,7 +356,8 @@ def main(studies: tuple[str, ...] = (), out: Path = HERE.parent) -> None:
     if studies:
         collect(studies, out)
     tables = entries()
-    page = to_page([make(*item) for item in tables.items() for make in (table, differences)])
+    pages = [make(*item) for item in tables.items() for make in (table, differences)]
+    page = to_page([one for one in pages if one.rows])
     write_whole(HERE / "table.md", f"{LEGEND}\n{page}".encode())
     print(HERE / "table.md")
     draw(tables)
