@@ -45,13 +45,14 @@ FEW = 20  # episodes, at most, after which success and the worst tasks are told
 SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.
 SHOWN = {
+    "maesn-random": MethodStyle("MAESN, random latents", style.GREY, ":", "s"),
     **{name: METHOD_STYLES[name] for name in ("maml", "pearl", "rl2", "varibad")},
     "maesn-gradient": MethodStyle("MAESN, gradient", style.VERMILLION, "--", "D"),
     SEARCH: MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
 }
 ORACLE, FLOOR = "oracle", "baseline"
 COSTS = ("seeds", "steps (M)", "minutes", "seconds")  # of training; of a meta-iteration
-_PANELS = 3  # in a row
+_PANELS = 4  # in a row
 LEGEND = """\
 Columns are numbers of episodes in a new task before the ones that are judged. ± is half the 95 %
 interval over tasks and seeds; of a published number, the spread that its source gives. Success and
@@ -312,11 +313,15 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
         _draw(axes, family, lines, oracle)
         handles, labels = axes.get_legend_handles_labels()
         known |= zip(labels, handles, strict=True)
-    for axes in panels[len(shown) :]:
-        axes.set_axis_off()
     for axes in panels[::_PANELS]:
         axes.set_ylabel("return")
-    drawn.legend(known.values(), known.keys(), loc="outside lower center", ncols=_PANELS)
+    for axes in panels[len(shown) :]:
+        axes.set_axis_off()
+    legend = {"handles": list(known.values()), "labels": list(known)}
+    if len(shown) < len(panels):
+        panels[-1].legend(**legend, loc="center")
+    else:
+        drawn.legend(**legend, loc="outside lower center", ncols=_PANELS)
     style.settle(drawn)
     drawn.savefig(FIGURES / "field.png")
     print(FIGURES / "field.png")
