@@ -40,7 +40,7 @@ FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
 FEWEST_SEEDS = 3  # of a line that is shown: one seed says little
 # Lines whose rule has a name that says less.
-LABELS = {"maesn-random": "MAESN (random latents)"}
+LABELS = dict.fromkeys(("maesn-random", "maesn-ml1_random"), "MAESN (random latents)")
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
 SEARCH, USUAL = "maesn-search", "final"  # line that others are compared with, and its tasks
 # Lines of the figure -> their looks.
