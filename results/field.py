@@ -295,6 +295,7 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
     """Draw a panel for each family in which a search has results, if there is one.
 
     Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
+    The legend takes the last panel where one is free.
     """
     shown = {
         name: lines
@@ -313,15 +314,15 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
         _draw(axes, family, lines, oracle)
         handles, labels = axes.get_legend_handles_labels()
         known |= zip(labels, handles, strict=True)
-    for axes in panels[::_PANELS]:
-        axes.set_ylabel("return")
     for axes in panels[len(shown) :]:
         axes.set_axis_off()
-    legend = {"handles": list(known.values()), "labels": list(known)}
+    for axes in panels[::_PANELS]:
+        axes.set_ylabel("return")
+    key = {"handles": list(known.values()), "labels": list(known)}
     if len(shown) < len(panels):
-        panels[-1].legend(**legend, loc="center")
+        panels[-1].legend(**key, loc="center")
     else:
-        drawn.legend(**legend, loc="outside lower center", ncols=_PANELS)
+        drawn.legend(**key, loc="outside lower center", ncols=_PANELS)
     style.settle(drawn)
     drawn.savefig(FIGURES / "field.png")
     print(FIGURES / "field.png")

@@ -3,12 +3,11 @@
 import importlib
 import warnings
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import numpy as np
 
-from maesn.envs.base import Variant
 from maesn.envs.catalogue import find_family, is_own, split_variant
 from maesn.envs.tasks import NAMED_SETS, TaskFamily, TaskSet
 from maesn.storage import RunError, read_arrays, refusals, write_arrays
@@ -25,7 +24,7 @@ def resolve_family(name: str) -> TaskFamily:
         except ValueError as error:
             raise RunError(f"{error} Give your own as `module:name`.") from error
     known, variant = split_variant(name)
-    if variant in get_args(Variant):  # as studies name it
+    if variant and variant in find_family(known).make_env().variants:  # a study's name for both
         raise RunError(f"`family` must be `{known}` here, with `{variant}` as its `variant`.")
     family = imported(name, "family")
     if not isinstance(family, TaskFamily):
