@@ -30,7 +30,7 @@ from maesn.reporting import report
 from maesn.reporting.comparison import Comparison
 from maesn.reporting.report import write_report
 from maesn.reporting.sources import compare_study
-from maesn.runs.log import METRICS
+from maesn.runs.log import METRICS, TIMING
 from maesn.storage import LOCK, RunError, locked, read_json, write_json
 from maesn.studies.execution import SECONDS_TO_BEGIN, AbstractExecutor, Execution
 from maesn.studies.executors import LocalPool
@@ -323,6 +323,12 @@ def test_estimates_count_what_is_left_of_a_training_and_how_long_it_learns(tmp_p
     log.write_text("{}\n{}\n{}\n")
     left = Execution({job.name: job}, tmp_path).hours_left([job.name])
     assert left == pytest.approx((2 + SECONDS_TO_BEGIN / 3600) / 4)
+    # Once iterations were timed, the median one counts, for jobs of its kind as well.
+    (log.parent / TIMING).write_text('{"seconds": 900.0}\n' + 2 * '{"seconds": 360.0}\n')
+    other = dataclasses.replace(job, name="train-x-other")
+    execution = Execution({job.name: job, other.name: other}, tmp_path)
+    assert execution.hours_left([job.name]) == pytest.approx(0.1)
+    assert execution.hours_left([other.name]) == pytest.approx(0.4)
     efforts = {name: preset().effort(1000, 1) for name, preset in PRESETS.items()}
     assert {name for name, effort in efforts.items() if effort == 1000} >= {"maesn", "latent_space"}
     slow = ("maml", "rl2", "varibad", "pearl")

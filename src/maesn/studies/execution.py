@@ -160,18 +160,20 @@ class Execution:
         left = f"{minutes / 60:,.0f} hours" if minutes > 180 else f"{minutes} min"
         return f"About {left} left with {workers} at a time, by {' and '.join(rests_on)}."
 
+    def _took(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
+        """Return the guess for what is done of a job, and what it took, in seconds."""
+        if found := done.get(job.name):
+            return job.seconds * found["steps"] / max(job.steps, 1), float(found["seconds"])
+        return job.begun(self.directory / job.name)
+
     def _seconds_left(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
         """Return the estimate for what is left of a job, and what says so: jobs of its kind."""
         left = 1 - job.progress(self.directory / job.name)
         kind = job.name.split("-")[:2]
-        like = {name: one for name, one in done.items() if one and name.split("-")[:2] == kind}
-        work = sum(
-            self.jobs[name].seconds * one["steps"] / max(self.jobs[name].steps, 1)
-            for name, one in like.items()
-        )
-        if work:
-            seconds = sum(one["seconds"] for one in like.values())
-            return left * job.seconds * seconds / work, "what jobs of the same kind took"
+        like = [one for one in self.jobs.values() if one.name.split("-")[:2] == kind]
+        guessed, took = map(sum, zip(*(self._took(one, done) for one in like), strict=True))
+        if guessed:
+            return left * job.seconds * took / guessed, "what jobs of the same kind took"
         return (
             left * (SECONDS_TO_BEGIN + job.seconds),
             f"{SECONDS_TO_BEGIN} seconds to begin a job and {STEPS_PER_SECOND:,} steps per second, "

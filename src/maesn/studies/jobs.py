@@ -55,6 +55,17 @@ class Job:
         done = log.read_bytes().count(b"\n") if log.exists() else 0
         return done / max(self.iterations, 1)
 
+    def begun(self, directory: Path) -> tuple[float, float]:
+        """Return how much of `seconds` a training has behind it, and how long that took.
+
+        The median meta-iteration counts: the first one also compiles.
+        """
+        took = times(directory / RUN) if self.iterations else {}
+        if not took:
+            return 0.0, 0.0
+        done = self.progress(directory)
+        return done * self.seconds, done * self.iterations * took["iteration_seconds"]
+
 
 def computed(job: Job, jobs: Path) -> str | None:
     """Compute a job unless it is done; return its error, None if there is none."""
