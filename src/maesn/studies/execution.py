@@ -164,11 +164,17 @@ class Execution:
         """Return the guess for what is done of a job, and what it took, in seconds."""
         if found := done.get(job.name):
             return job.seconds * found["steps"] / max(job.steps, 1), float(found["seconds"])
-        return job.begun(self.directory / job.name)
+        return job.spent(self.directory / job.name)
 
     def _seconds_left(self, job: Job, done: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-        """Return the estimate for what is left of a job, and what says so: jobs of its kind."""
+        """Return the estimate for what is left of a job, and what it rests on.
+
+        A training that has begun counts alone; otherwise all jobs of its kind count.
+        """
         left = 1 - job.progress(self.directory / job.name)
+        guessed, took = self._took(job, done)
+        if guessed:
+            return left * job.seconds * took / guessed, "what begun trainings took so far"
         kind = job.name.split("-")[:2]
         like = [one for one in self.jobs.values() if one.name.split("-")[:2] == kind]
         guessed, took = map(sum, zip(*(self._took(one, done) for one in like), strict=True))

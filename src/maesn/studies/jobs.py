@@ -55,15 +55,16 @@ class Job:
         done = log.read_bytes().count(b"\n") if log.exists() else 0
         return done / max(self.iterations, 1)
 
-    def begun(self, directory: Path) -> tuple[float, float]:
+    def spent(self, directory: Path) -> tuple[float, float]:
         """Return how much of `seconds` a training has behind it, and how long that took.
 
-        The median meta-iteration counts: the first one also compiles.
+        The median meta-iteration counts, once there are three: the first one also compiles. Before,
+        and for other jobs, it is 0, 0.
         """
-        took = times(directory / RUN) if self.iterations else {}
+        done = self.progress(directory)
+        took = times(directory / RUN) if done * self.iterations > 2 else {}
         if not took:
             return 0.0, 0.0
-        done = self.progress(directory)
         return done * self.seconds, done * self.iterations * took["iteration_seconds"]
 
 
