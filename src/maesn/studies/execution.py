@@ -171,8 +171,9 @@ class Execution:
 
         A training that has begun counts alone; otherwise all jobs of its kind count.
         """
-        left = 1 - job.progress(self.directory / job.name)
-        guessed, took = self._took(job, done)
+        directory = self.directory / job.name
+        left = 1 - job.progress(directory)
+        guessed, took = job.spent(directory)
         if guessed:
             return left * job.seconds * took / guessed, "what begun trainings took so far"
         kind = job.name.split("-")[:2]
