@@ -85,6 +85,18 @@ def test_chunks_change_nothing(
         np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-4)
 
 
+def test_a_family_without_success_has_returns_alone(
+    collect: Collector, learner: GradientFastLearner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = adapt(learner, collect, episodes=EPISODES).curves
+    monkeypatch.setattr(type(collect.world.env), "defines_success", False)
+    curves = adapt(learner, collect, episodes=EPISODES).curves
+    for name in ("success_rate", "final_success_rate", "time_in_region"):
+        assert np.isnan(getattr(curves, name)).all()
+        assert np.isfinite(getattr(usual, name)).all()
+    np.testing.assert_array_equal(curves.mean_return, usual.mean_return)
+
+
 def test_as_many_tasks_advance_together_as_the_memory_takes(
     collect: Collector, learner: GradientFastLearner, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,15 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from synthetic_runs import NUM_UPDATES, adaptation_table, write_adaptation
+from synthetic_runs import NUM_UPDATES, adaptation_table, line, write_adaptation
 
+from maesn.reporting.comparison import Comparison
+from maesn.reporting.figures.curves import adaptation_charts, plot_ends
+from maesn.reporting.page import page_of
 from maesn.reporting.reading import DEPLOY, MEASURES, AdaptationTable
+from maesn.reporting.sources import Compared
 from maesn.reporting.statistics import INTERVAL, bootstrap, mean
 from maesn.reporting.tables import (
     UNITS,
     TextTable,
     adaptation_tables,
     print_tables,
+    summary_tables,
 )
 
 TABLE, FRESH = (adaptation_table(num_tasks=30, seed=seed) for seed in range(2))
@@ -123,6 +128,32 @@ def test_tasks_without_a_success_had_nothing_to_learn_from(file: Path) -> None:
     assert "No episode" not in shown(summarised(file.with_name("test-dense.csv"), table))
     none = replace(table, success_rate=np.zeros_like(rates))  # or the family has no goals
     assert "No episode reached a goal:" in shown(summarised(file, none))
+
+
+def test_where_success_is_not_defined_there_are_dashes(file: Path) -> None:
+    nothing = np.full_like(TABLE.success_rate, np.nan)
+    names = ("success_rate", "final_success_rate", "time_in_region", "explored_success_rate")
+    unsolvable = replace(TABLE, **dict.fromkeys(names, nothing))
+    (table,) = summarised(file, unsolvable)
+    for row in table.rows:
+        assert row[4:] == ("-", "-", "-")
+        assert "±" in row[2]
+    said = " ".join(table.notes)
+    assert ": return " in said
+    assert "reaches goal" not in said
+    assert "No episode" not in said
+    # A comparison has no table of successes, and its figure no panel of them.
+    compared = Comparison((line("maesn", unsolvable),))
+    assert [one.title for one in summary_tables(compared)][1:] == [
+        "Episodes in the new task, and return"
+    ]
+    assert [chart.y for chart in adaptation_charts(compared)] == ["mean sparse return"]
+    assert len(plot_ends(compared).axes) == 1
+    (headline,) = page_of(Compared([compared], (), {"study": "", "versions": {}, "jobs": ()}, ()))[
+        "headlines"
+    ]
+    assert headline["number"] == UNITS["mean_return"].number(TABLE.mean_return[:, -1].mean())
+    assert "goal" not in headline["text"]
 
 
 def test_zero_has_no_minus() -> None:

@@ -15,7 +15,7 @@ from maesn import latent_space
 from maesn.context import LatentContext
 from maesn.policies import GaussianMLP
 from maesn.runs.run import Run
-from maesn.runs.training import train
+from maesn.runs.training import describe, train
 from maesn.storage import RunError
 
 
@@ -29,6 +29,17 @@ def test_what_is_left_behind(tmp_path: Path) -> None:
     assert [line["return_after"] for line in metrics(run)] == [p.info["return_after"] for p in seen]
     timing = [json.loads(x) for x in (run.directory / "timing.jsonl").read_text().splitlines()]
     assert [line["seconds"] for line in timing] == [progress.seconds for progress in seen]
+
+
+def test_a_family_without_success_has_no_line_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = create(tmp_path / "usual", tiny_maesn(), iterations=1)
+    assert "success" in describe(next(train(usual)))
+    run = create(tmp_path / "run", tiny_maesn(), iterations=1)
+    monkeypatch.setattr(type(run.env()), "defines_success", False)
+    assert "success" not in describe(next(train(run)))
+    assert "success_after" not in metrics(run)[0]
 
 
 def test_nothing_left_to_do_changes_nothing(tmp_path: Path) -> None:

@@ -25,9 +25,12 @@ EnvRecord: TypeAlias = dict[str, Any]
 
 # What `TaskFamily.make_env` is called with.
 _FAMILY_SETTINGS = ("variant", "reward_kind", "sparse_radius")
-# Names, what the kind decides, what only figures need, and choices, one of which is recorded. A
-# digest stands for the model. `typing.Generic` sets the last.
-_LEFT_OUT = ("name", "engine", "has_one_reward", "planar", "variants", "model", "_is_protocol")
+# Names, what the kind decides, what only figures and tables need, and choices, one of which is
+# recorded. A digest stands for the model. `typing.Generic` sets the last.
+_LEFT_OUT = (
+    *("name", "engine", "has_one_reward", "defines_success", "planar"),
+    *("variants", "model", "_is_protocol"),
+)
 _MODEL_DIGEST = "model_digest"
 _CONSTANTS = (bool, int, float, str, tuple, np.ndarray, np.generic)
 _MISSING = object()

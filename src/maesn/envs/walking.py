@@ -72,6 +72,7 @@ class AbstractPlaceless(AbstractWalking[Task]):
     """A task without a goal that one could reach or draw."""
 
     planar: ClassVar[bool] = False
+    defines_success: ClassVar[bool] = False
 
     def solved(self, readings: Readings, task: Task) -> Bool[Array, ""]:
         """Never: the sources define no success."""

@@ -25,7 +25,10 @@ _DEPLOYED = 0xFFFFFFFE
 
 
 class AdaptationCurves(eqx.Module):
-    """How every task's performance changes with adaptation: `[i, k]` is task i, update k."""
+    """How every task's performance changes with adaptation: `[i, k]` is task i, update k.
+
+    Success and time in the goal region are NaN where the family defines no success.
+    """
 
     mean_return: Float[Array | np.ndarray, "task *update"]
     """Mean undiscounted return."""
@@ -39,6 +42,12 @@ class AdaptationCurves(eqx.Module):
     """Share of the steps that are spent in the goal region."""
     solved_at_reset: Float[Array | np.ndarray, "task *update"]
     """Share of the episodes that start in the goal region: their success is no achievement."""
+
+    def without_success(self) -> "AdaptationCurves":
+        """Return the curves where a family defines no success."""
+        unknown = np.full_like(self.mean_return, np.nan)
+        names = ("success_rate", "final_success_rate", "time_in_region")
+        return replace(self, **dict.fromkeys(names, unknown))
 
 
 class AdaptationOutcome(NamedTuple):
@@ -104,6 +113,8 @@ def adapt(
     explored, deployed, contexts = jax.tree.map(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
+    if not collect.world.env.defines_success:
+        explored, deployed = (x and x.without_success() for x in (explored, deployed))
     trial_episodes = learner.capabilities.trial_episodes
     # Trials are played side by side: each has seen one episode more.
     added = each if trial_episodes is None else 1

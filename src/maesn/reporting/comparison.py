@@ -103,6 +103,12 @@ class Comparison:
         return f"{self.family}, {self.tasks}{radius}"
 
     @property
+    def headline_measures(self) -> tuple[str, ...]:
+        """Return, and success where the family defines it."""
+        success = self.lines[0].measure("success_rate")
+        return ("mean_return", *(() if np.isnan(success).all() else ("success_rate",)))
+
+    @property
     def everyone(self) -> tuple[Line, ...]:
         """The methods, then baselines and oracle."""
         return (*self.lines, *self.baselines, *self.oracle)

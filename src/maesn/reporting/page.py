@@ -74,17 +74,17 @@ def page_of(study: Compared) -> Document:
 
 def _headline(line: Line, comparison: Comparison) -> Document:
     """Return how a line begins and ends: a number, and words."""
-    (before, after), (first, last) = (
+    (first, last), *success = (
         [UNITS[name].number(line.column(at, name).mean()) for at in (0, -1)]
-        for name in ("success_rate", "mean_return")
+        for name in comparison.headline_measures
     )
     learned = f"after {count_of(line.table.episodes[-1])} in the new task"
-    return {
-        "number": f"{after} %",
-        "name": f"{line.label}, {comparison.name}",
-        "text": f"of the episodes reach the goal {learned}, {before} % at first; "
-        f"the mean return goes from {first} to {last}",
-    }
+    number, text = last, f"is the mean return {learned}, {first} at first"
+    for before, after in success:
+        number = f"{after} %"
+        text = f"of the episodes reach the goal {learned}, {before} % at first; "
+        text += f"the mean return goes from {first} to {last}"
+    return {"number": number, "name": f"{line.label}, {comparison.name}", "text": text}
 
 
 def _of_runs(series: Sequence[Series]) -> Document:
@@ -101,7 +101,7 @@ def _of_runs(series: Sequence[Series]) -> Document:
         "title": f"{' and '.join(one.style.label for one in series)} on {shown.family}",
         "subtitle": ", ".join(names),
         "plane": _plane(shown, believing),
-        "learning": [_chart(one) for one in charts if _is_known(one)],
+        "learning": [*map(_chart, charts)],
         "provenance": _settings(names, [leaves(read_json(x.path / "config.json")) for x in runs]),
     }
 
@@ -122,11 +122,6 @@ def _comparison(comparison: Comparison, series: Sequence[Series]) -> Document:
         ],
         "settings": _settings([line.label for line in lines], [line.settings for line in lines]),
     }
-
-
-def _is_known(chart: Chart) -> bool:
-    """Whether there is anything to draw: a method may have no such number."""
-    return any(np.isfinite(np.asarray(curve.mean, float)).any() for curve in chart.curves)
 
 
 def _chart(chart: Chart) -> Document:

@@ -35,8 +35,8 @@ class Unit(NamedTuple):
     digits: int = 1
 
     def number(self, value: float) -> str:
-        """Return the number as text, 0 without a minus."""
-        return format(self.scale * value, f"z.{self.digits}f")
+        """Return the number as text, 0 without a minus; NaN as a dash."""
+        return "-" if np.isnan(value) else format(self.scale * value, f"z.{self.digits}f")
 
     def text(self, interval: Interval, *, brief: bool = False) -> str:
         """Return the mean and the ends of its interval or, if `brief`, half its width."""
@@ -154,9 +154,11 @@ def _failures(failed: int, num_tasks: int) -> str:
 def _end_in_words(line: Line) -> str:
     reported = line.settings.get("evaluation.measure")
     names = (reported,) if reported else ("success_rate", "mean_return")
-    means = (bootstrap(statistics.mean, line.column(-1, name)) for name in names)
+    means = {name: bootstrap(statistics.mean, line.column(-1, name)) for name in names}
     found = (
-        f"{UNITS[name].heading} {UNITS[name].text(x)}" for name, x in zip(names, means, strict=True)
+        f"{UNITS[name].heading} {UNITS[name].text(mean)}"
+        for name, mean in means.items()
+        if not np.isnan(mean.mean)
     )
     done = f"after {count_of(line.table.episodes[-1])} in each of {line.table.num_tasks} tasks"
     text = f"{done}: {', '.join(found)}"
@@ -183,7 +185,7 @@ def _by_task(table: AdaptationTable) -> TextTable:
 def summary_tables(comparison: Comparison) -> list[TextTable]:
     """Return where each method ends, how it gets there, and who beats whom."""
     tables = [_ends(part, addition) for addition, part in comparison.parts().items()]
-    tables += [_by_episodes(comparison, name) for name in ("mean_return", "success_rate")]
+    tables += [_by_episodes(comparison, name) for name in comparison.headline_measures]
     if len(comparison.lines) > 1:
         tables.append(_improvements(comparison))
     if not comparison.name:

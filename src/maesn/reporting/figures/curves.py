@@ -48,6 +48,11 @@ class Chart(NamedTuple):
     is_share: bool = False  # whether the vertical axis runs from 0 to 1
     linear_to: int | None = None  # from there on the horizontal axis is logarithmic
 
+    @property
+    def is_known(self) -> bool:
+        """Whether there is anything to draw: a method or a family may have no such number."""
+        return any(np.isfinite(np.asarray(curve.mean, float)).any() for curve in self.curves)
+
 
 def adaptation_charts(comparison: Comparison) -> list[Chart]:
     """Return return and success over the episodes that were learned from in the new task.
@@ -57,9 +62,9 @@ def adaptation_charts(comparison: Comparison) -> list[Chart]:
     lines = comparison.lines
     lengths = {line.table.episodes_per_update for line in lines} - {None}
     shortest = min(filter(None, lengths)) if len(lengths) > 1 else None
-    returns, success = (
+    returns, *success = (
         [_curve(line, line.table.episodes, statistics.curve(line.measure(name))) for line in lines]
-        for name in ("mean_return", "success_rate")
+        for name in comparison.headline_measures
     )
     returns += [_published(line) for line in lines if line.published is not None]
     ends = np.array([0, max(line.table.episodes[-1] for line in lines)])
@@ -69,7 +74,7 @@ def adaptation_charts(comparison: Comparison) -> list[Chart]:
     x, y = "episodes in the new task", f"mean {lines[0].table.reward} return"
     return [
         Chart(x, y, returns, linear_to=shortest),
-        Chart(x, "success rate", success, is_share=True, linear_to=shortest),
+        *(Chart(x, "success rate", one, is_share=True, linear_to=shortest) for one in success),
     ]
 
 
@@ -98,17 +103,18 @@ def learning_charts(series: Sequence[Series]) -> dict[str, list[Chart]]:
             "return_before": f"mean {reward} return",
             "return_after": f"mean {reward} return",
         }
-        if trained:
-            found[reward] = [
-                Chart(
-                    "meta-iteration",
-                    y,
-                    [_learning_curve(style, metric, seeds) for style, seeds in trained],
-                    title=f"{metric.rpartition('_')[2]} the inner update",
-                    is_share=metric == "success_after",
-                )
-                for metric, y in measures.items()
-            ]
+        charts = (
+            Chart(
+                "meta-iteration",
+                y,
+                [_learning_curve(style, metric, seeds) for style, seeds in trained],
+                title=f"{metric.rpartition('_')[2]} the inner update",
+                is_share=metric == "success_after",
+            )
+            for metric, y in measures.items()
+        )
+        if known := [chart for chart in charts if chart.is_known]:
+            found[reward] = known
     return found
 
 
@@ -150,8 +156,9 @@ def plot_ends(comparison: Comparison) -> Figure:
     """
     lines = comparison.lines[::-1]
     figure = style.new_figure(style.TWO_COLUMNS, 0.9 + 0.22 * len(lines))
-    returns, success = figure.subplots(1, 2, sharey=True)
-    for axes, measure in ((returns, "mean_return"), (success, "success_rate")):
+    measures = comparison.headline_measures
+    returns, *others = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+    for axes, measure in zip((returns, *others), measures, strict=True):
         for row, line in enumerate(lines):
             colour, ends = {"color": line.style.colour}, line.column(-1, measure)
             interval = statistics.bootstrap(statistics.mean, ends)
@@ -160,8 +167,9 @@ def plot_ends(comparison: Comparison) -> Figure:
             axes.plot(interval.mean, row, line.style.marker, **colour)
     for name, value in comparison.references().items():
         returns.axvline(value, color=DARK_GREY, linestyle=REFERENCES[name])
-    success.set(xlabel="success rate", xlim=(-0.03, 1.03))
-    success.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    for success in others:
+        success.set(xlabel="success rate", xlim=(-0.03, 1.03))
+        success.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     returns.set_yticks(range(len(lines)), [line.label for line in lines])
     returns.set(xlabel=f"mean {lines[0].table.reward} return", ylim=(-0.6, len(lines) - 0.4))
     returns.set_title(comparison.title, loc="left")
