@@ -58,8 +58,8 @@ Columns are numbers of episodes in a new task before the ones that are judged. Â
 interval over tasks and seeds; of a published number, the spread that its source gives. Success and
 worst tenth (CVaR of the tasks) are those after 20 episodes, or after the most before. Lines of one
 method share its training, whose steps, minutes with one thread, and seconds of a meta-iteration
-(median) are means over the seeds. -: not played, or more episodes than a trial in training has; of
-success, the family defines none.
+(median) are means over the seeds. -: not played, or more episodes than a trial in training has;
+under success: the family defines none.
 """
 
 Row = Mapping[str, str]

@@ -135,9 +135,11 @@ def test_figures_get_positions_where_the_family_has_them() -> None:
         horizon=2,
         position=lambda observation: observation[-2:],
         goal=lambda task: task[:2],
+        defines_success=False,
     )
     env = family.make_env()
     assert env.planar
+    assert not env.defines_success
     assert env.observation_names()[0] == "observation[0]"
     assert len(env.observation_names()) == env.observation_size
     np.testing.assert_array_equal(env.position(jnp.arange(10.0)), [8, 9])

@@ -9,7 +9,7 @@ from learning_problems.probes import HiddenEnd, hidden_end
 from maesn import maesn
 from maesn.axes import Readings
 from maesn.envs import Wheeled, point, wheeled
-from maesn.evaluation.adapting import adapt, as_rows, measure
+from maesn.evaluation.adapting import AdaptationCurves, adapt, as_rows, measure
 from maesn.evaluation.evaluation import Evaluation
 from maesn.evaluation.exploration import explore
 from maesn.experience.episodes import Episodes
@@ -88,13 +88,18 @@ def test_chunks_change_nothing(
 def test_a_family_without_success_has_returns_alone(
     collect: Collector, learner: GradientFastLearner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = adapt(learner, collect, episodes=EPISODES).curves
+    def both() -> tuple[AdaptationCurves, AdaptationCurves]:
+        outcome = adapt(learner, collect, Evaluation(deploy_episodes=2), episodes=EPISODES)
+        assert outcome.deployed is not None
+        return outcome.explored, outcome.deployed
+
+    usual = both()
     monkeypatch.setattr(type(collect.world.env), "defines_success", False)
-    curves = adapt(learner, collect, episodes=EPISODES).curves
-    for name in ("success_rate", "final_success_rate", "time_in_region"):
-        assert np.isnan(getattr(curves, name)).all()
-        assert np.isfinite(getattr(usual, name)).all()
-    np.testing.assert_array_equal(curves.mean_return, usual.mean_return)
+    for curves, before in zip(both(), usual, strict=True):
+        for name in ("success_rate", "final_success_rate", "time_in_region"):
+            assert np.isnan(getattr(curves, name)).all()
+            assert np.isfinite(getattr(before, name)).all()
+        np.testing.assert_array_equal(curves.mean_return, before.mean_return)
 
 
 def test_as_many_tasks_advance_together_as_the_memory_takes(

@@ -182,6 +182,8 @@ def test_seeds_are_stacked_if_they_have_the_same_tasks() -> None:
         f"{HEADER}\n0,0,0,explore,-396.0\n",
         f"{HEADER}\n{ROW.replace('-396.0', 'nan')}\n",
         f"{HEADER}\n{ROW.replace('explore', 'play')}\n",
+        # Success is missing in all rows or in none.
+        f"{HEADER}\n{ROW}\n1{ROW[1:].replace('0.02', 'nan')}\n",
     ],
 )
 def test_a_broken_table_is_refused_in_one_sentence(tmp_path: Path, content: str) -> None:

@@ -85,6 +85,14 @@ def test_learning_curves(tmp_path: Path) -> None:
     check_saved_whole(figure, tmp_path)
 
 
+def test_a_number_that_no_run_has_is_no_panel(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", without=["metrics"])
+    no_success = replace(learning_curve(), success_after=np.full(30, np.nan))
+    write_metrics(run / "metrics.jsonl", no_success)
+    (charts,) = learning_charts(read_series([run])).values()
+    assert [chart.y for chart in charts] == ["mean dense return"] * 2
+
+
 def test_moving_mean_is_brute_force() -> None:
     values = np.random.default_rng(0).normal(size=(2, 9))
     expected = [[row[max(0, i - 2) : i + 3].mean() for i in range(9)] for row in values]

@@ -126,7 +126,7 @@ def test_tasks_without_a_success_had_nothing_to_learn_from(file: Path) -> None:
     deployed = replace(table, purpose=DEPLOY, success_rate=np.ones_like(rates))
     assert said in shown(summarised(file, table, deployed))
     assert "No episode" not in shown(summarised(file.with_name("test-dense.csv"), table))
-    none = replace(table, success_rate=np.zeros_like(rates))  # or the family has no goals
+    none = replace(table, success_rate=np.zeros_like(rates))
     assert "No episode reached a goal:" in shown(summarised(file, none))
 
 

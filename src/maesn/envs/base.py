@@ -80,7 +80,7 @@ class AbstractEnv(eqx.Module, Generic[Task]):
     has_one_reward: ClassVar[bool] = False
     """Whether dense and sparse reward are one, which policies see as it is."""
     defines_success: ClassVar[bool] = True
-    """Whether `solved` means something; else tables and logs leave success out."""
+    """Whether `solved` means something; else tables, logs and figures leave success out."""
     planar: ClassVar[bool] = True
     """Whether `position` and `goal` mean something, so that figures can show them."""
 

@@ -32,6 +32,7 @@ def gymnasium_family(
     goal: Callable[[Any], Any] = nowhere,
     situation: Callable[[Any], Any] | None = None,
     reward: Callable[..., Any] | None = None,
+    defines_success: bool = True,
     time_limit: float = TIME_LIMIT,
     max_environments: int = MAX_ENVIRONMENTS,
     python: str = "",
@@ -65,6 +66,8 @@ def gymnasium_family(
         reward: the environment's own reward as a function of (observation, control, next
             observation, task, "dense" or "sparse") in JAX; checked against the environment's before
             a run starts.
+        defines_success: whether the environment's `info` says that a task is solved; if not, tables
+            have a dash for success, and logs and figures leave it out.
         time_limit: seconds that one call of an environment may take before it counts as hanging.
         max_environments: adaptation takes fewer tasks at a time to keep no more environments
             than that; each episode that is played at the same time has one.
@@ -89,7 +92,7 @@ def gymnasium_family(
     def family_class() -> type[AbstractGymnasiumEnv]:
         tasks = family.task_set("training").tasks
         found = interface or _look_at(name, recipe, task_row(tasks, 0))
-        return _family_class(name, found, recipe, control_period)
+        return _family_class(name, found, recipe, control_period, has_success=defines_success)
 
     def make(
         variant: Variant = "reference",
@@ -116,7 +119,7 @@ def gymnasium_family(
 
 
 def _family_class(
-    family_name: str, found: Interface, how: Recipe, period: float | None
+    family_name: str, found: Interface, how: Recipe, period: float | None, *, has_success: bool
 ) -> type[AbstractGymnasiumEnv]:
     class GymnasiumEnv(AbstractGymnasiumEnv):
         """A Gymnasium environment."""
@@ -126,6 +129,7 @@ def _family_class(
             family_name, "control_period", period, found.control_period, found.doubt
         )
         action_kind: ClassVar[ActionKind] = "discrete" if found.discrete else "continuous"
+        defines_success: ClassVar[bool] = has_success
         planar: ClassVar[bool] = nowhere not in (how.position, how.goal)
         interface: ClassVar[Interface] = found
         recipe: ClassVar[Recipe] = how

@@ -43,12 +43,6 @@ class AdaptationCurves(eqx.Module):
     solved_at_reset: Float[Array | np.ndarray, "task *update"]
     """Share of the episodes that start in the goal region: their success is no achievement."""
 
-    def without_success(self) -> "AdaptationCurves":
-        """Return the curves where a family defines no success."""
-        unknown = np.full_like(self.mean_return, np.nan)
-        names = ("success_rate", "final_success_rate", "time_in_region")
-        return replace(self, **dict.fromkeys(names, unknown))
-
 
 class AdaptationOutcome(NamedTuple):
     """Outcome of adapting to a set of tasks."""
@@ -114,7 +108,7 @@ def adapt(
         lambda *chunks: np.concatenate(chunks)[: len(chosen)], *parts
     )
     if not collect.world.env.defines_success:
-        explored, deployed = (x and x.without_success() for x in (explored, deployed))
+        explored, deployed = map(_without_success, (explored, deployed))
     trial_episodes = learner.capabilities.trial_episodes
     # Trials are played side by side: each has seen one episode more.
     added = each if trial_episodes is None else 1
@@ -176,6 +170,15 @@ def measure(episodes: Episodes) -> AdaptationCurves:
         time_in_region=solved.sum((1, 2)) / steps,
         solved_at_reset=episodes.solved_at_start.mean(-1),
     )
+
+
+def _without_success(curves: AdaptationCurves | None) -> AdaptationCurves | None:
+    """Return the curves with NaN for success and time in the goal region."""
+    if curves is None:
+        return None
+    unknown = np.full_like(curves.mean_return, np.nan)
+    names = ("success_rate", "final_success_rate", "time_in_region")
+    return replace(curves, **dict.fromkeys(names, unknown))
 
 
 def _task_keys(seed: int, update: int, slots: np.ndarray) -> TaskKeys:

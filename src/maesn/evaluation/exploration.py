@@ -198,7 +198,7 @@ def _searches(run: Run) -> dict[str, Any]:
         "edge": _EDGE,
         "played": episodes.z,
         "returns": episodes.undiscounted_return,
-        "reached": (episodes.valid & episodes.solved).any(-1),
+        **({"reached": episodes.success} if world.env.defines_success else {}),
         "paths": _thinned(world.env, episodes),
         # Before each episode and after the last, `[task, episode_plus_1, ...]`:
         "deployed": [[one.points[one.best] for one in task] for task in searches],

@@ -97,6 +97,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode; return observation and information: `task`, `is_success`.
 
+        A family that defines no success has no `is_success`.
+
         Args:
             seed: seed of all later draws; None to go on drawing as before.
             options: `{"task": index}` chooses the task of this episode.
@@ -194,7 +196,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return task
 
     def _information(self, solved: Any) -> dict[str, Any]:
-        return {"task": self._task_index, "is_success": bool(solved)}
+        success = {"is_success": bool(solved)} if self._inner.defines_success else {}
+        return {"task": self._task_index} | success
 
     def _error(self, reason: str) -> EpisodeError:
         return EpisodeError(self._inner.name, self._task_index, 0, self._steps, reason)

@@ -183,7 +183,7 @@ def note_on_judging(lines: Sequence[Line]) -> str:
 
 
 def tidy_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield one row per method, seed, task and update; `score` is empty if there is none."""
+    """Yield one row per method, seed, task and update; a cell is empty if there is no number."""
     solved = comparison.is_solved_at_reset
     for line in comparison.everyone:
         names = ("mean_return", "goal_return", "success_rate")

@@ -281,7 +281,7 @@ function searches(found) {
   const steps = player("search", episodes, "Episodes", 900, () => show());
 
   function begin() { // with the first episode that finds the goal, else with the last
-    steps.open(found.reached[Number(tasks.value)].indexOf(1) + 1 || episodes);
+    steps.open((found.reached?.[Number(tasks.value)].indexOf(1) ?? -1) + 1 || episodes);
   }
 
   function show() {
@@ -308,9 +308,9 @@ function searches(found) {
     const expects = ` With 90 % probability the latent in the red ring returns ` +
       `${worst === best ? number(best) : `${number(worst)} to ${number(best)}`}; the task is like one of training with probability ${number(100 * found.familiar[at][done])} %.`;
     const next = done < episodes ? ` Next it tries z = (${found.played[at][done].map((x) => number(x)).join(", ")}).` : "";
+    const reached = found.reached ? ` and ${found.reached[at][done - 1] ? "reaches" : "does not reach"} the goal` : "";
     said.textContent = done === 0 ? `Before any episode.${expects}${next}` :
-      `Episode ${done} returns ${number(found.returns[at][done - 1])} and ` +
-      `${found.reached[at][done - 1] ? "reaches" : "does not reach"} the goal.${expects}${next}`;
+      `Episode ${done} returns ${number(found.returns[at][done - 1])}${reached}.${expects}${next}`;
   }
 
   section("Watch a search",

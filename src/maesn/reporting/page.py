@@ -80,7 +80,8 @@ def _headline(line: Line, comparison: Comparison) -> Document:
     )
     learned = f"after {count_of(line.table.episodes[-1])} in the new task"
     number, text = last, f"is the mean return {learned}, {first} at first"
-    for before, after in success:
+    if success:
+        ((before, after),) = success
         number = f"{after} %"
         text = f"of the episodes reach the goal {learned}, {before} % at first; "
         text += f"the mean return goes from {first} to {last}"

@@ -71,7 +71,7 @@ def latents_beside(table: Path) -> Path:
 Curves = Float[np.ndarray, "*seed task update"]
 
 MEASURES = ("mean_return", "goal_return", "success_rate", "final_success_rate", "time_in_region")
-_MAY_LACK = ("success_rate", "final_success_rate", "time_in_region")  # NaN without success
+_OF_SUCCESS = MEASURES[2:]  # NaN where the family defines no success
 COLUMNS = ("task", "update", "episodes", "purpose", *MEASURES, "solved_at_reset")
 
 # The purposes of episodes: a row judges those of one.
@@ -82,7 +82,7 @@ def prior_reach(
     success_rate: Float[np.ndarray, " task"], solved: Bool[np.ndarray, " task"], episodes: int
 ) -> str:
     """Say how many goals a policy reaches before it learns, of those not reached at reset."""
-    if solved.all():
+    if solved.all() or np.isnan(success_rate).all():
         return ""
     share = (success_rate[~solved] > 0).mean()
     return f"{share:.0%} of the goals in {count_of(episodes)}"
@@ -211,8 +211,9 @@ def _grids(rows: Sequence[Mapping[str, Any]], purpose: str) -> dict[str, Curves]
     pairs = set(zip(columns["task"], columns["update"], strict=True))
     if not len(chosen) == len(pairs) == len(tasks) * len(updates) > 0:
         raise ValueError(f"its rows of purpose {purpose} lack a task or an update, or repeat one")
-    measured = (column for name, column in columns.items() if name not in _MAY_LACK)
-    if not all(np.isfinite(column).all() for column in measured):
-        raise ValueError("a number in it is not finite, the adaptation failed")
+    for name, column in columns.items():
+        is_missing = name in _OF_SUCCESS and np.isnan(column).all()
+        if not (is_missing or np.isfinite(column).all()):
+            raise ValueError("a number in it is not finite, the adaptation failed")
     order = np.lexsort((columns["update"], columns["task"]))
     return {name: column[order].reshape(len(tasks), -1) for name, column in columns.items()}

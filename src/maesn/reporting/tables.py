@@ -154,11 +154,10 @@ def _failures(failed: int, num_tasks: int) -> str:
 def _end_in_words(line: Line) -> str:
     reported = line.settings.get("evaluation.measure")
     names = (reported,) if reported else ("success_rate", "mean_return")
-    means = {name: bootstrap(statistics.mean, line.column(-1, name)) for name in names}
+    known = [x for x in names if not np.isnan(line.column(-1, x)).all()] or ["mean_return"]
+    means = (bootstrap(statistics.mean, line.column(-1, name)) for name in known)
     found = (
-        f"{UNITS[name].heading} {UNITS[name].text(mean)}"
-        for name, mean in means.items()
-        if not np.isnan(mean.mean)
+        f"{UNITS[name].heading} {UNITS[name].text(x)}" for name, x in zip(known, means, strict=True)
     )
     done = f"after {count_of(line.table.episodes[-1])} in each of {line.table.num_tasks} tasks"
     text = f"{done}: {', '.join(found)}"

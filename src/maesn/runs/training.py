@@ -108,16 +108,18 @@ class _Training:
         seconds = time.perf_counter() - start
         after = Checkpoint(state, before.iteration + 1, before.environment_steps + self.steps)
         metrics = jax.device_get(run.learner.metrics(info))
-        numbers = {name: float(value) for name, value in named_leaves(metrics).items()}
-        if not collect.world.env.defines_success:
-            numbers.pop("success_after", None)
+        has_success = collect.world.env.defines_success
         progress = Progress(
             iteration=after.iteration,
             environment_steps=after.environment_steps,
             seconds=seconds,
             steps_per_second=self.steps / seconds,
             devices=num_devices(),
-            info=numbers,
+            info={
+                name: float(value)
+                for name, value in named_leaves(metrics).items()
+                if has_success or name != "success_after"
+            },
         )
         self.log.write(progress)
         # One assignment, so that Ctrl-C finds either all of this iteration or nothing.

@@ -157,17 +157,19 @@ def plot_ends(comparison: Comparison) -> Figure:
     lines = comparison.lines[::-1]
     figure = style.new_figure(style.TWO_COLUMNS, 0.9 + 0.22 * len(lines))
     measures = comparison.headline_measures
-    returns, *others = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
-    for axes, measure in zip((returns, *others), measures, strict=True):
+    panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+    drawn = dict(zip(measures, panels, strict=True))
+    for measure, axes in drawn.items():
         for row, line in enumerate(lines):
             colour, ends = {"color": line.style.colour}, line.column(-1, measure)
             interval = statistics.bootstrap(statistics.mean, ends)
             axes.plot([interval.low, interval.high], [row, row], **colour)
             axes.plot(ends.mean(axis=1), [row] * len(ends), ".", **colour, markersize=2.5)
             axes.plot(interval.mean, row, line.style.marker, **colour)
+    returns = drawn["mean_return"]
     for name, value in comparison.references().items():
         returns.axvline(value, color=DARK_GREY, linestyle=REFERENCES[name])
-    for success in others:
+    if success := drawn.get("success_rate"):
         success.set(xlabel="success rate", xlim=(-0.03, 1.03))
         success.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     returns.set_yticks(range(len(lines)), [line.label for line in lines])
