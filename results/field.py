@@ -322,7 +322,7 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
     if len(shown) < len(panels):
         panels[-1].legend(**key, loc="center")
     else:
-        drawn.legend(**key, loc="outside lower center", ncols=_PANELS)
+        drawn.legend(**key, loc="outside lower center", ncols=5)
     style.settle(drawn)
     drawn.savefig(FIGURES / "field.png")
     print(FIGURES / "field.png")
@@ -340,14 +340,13 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
             axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
                       markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
     still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
-    for value, line, label, gap, along in (
-        (max(still, default=None), ":", "learns nothing", 2, "bottom"),
-        (max(oracle, default=None), "-", "knows the goal", -2, "top"),
+    for values, line, label in (
+        (still, ":", "learns nothing"),
+        (oracle, "-", "knows the goal"),
     ):
-        if value is not None:
-            axes.axhline(value, color=style.DARK_GREY, linestyle=line, linewidth=0.8)
-            axes.annotate(label, (550, value), (0, gap), textcoords="offset points", ha="right",
-                          va=along, fontsize="x-small", color=style.DARK_GREY)  # fmt: skip
+        if values:
+            limit = {"color": style.DARK_GREY, "linestyle": line, "linewidth": 0.8}
+            axes.axhline(max(values), **limit, label=label)
     axes.set(title=family, xscale="log", xlim=(0.9, 600), xlabel="episodes")
     axes.xaxis.set_major_formatter("{x:g}")
 
