@@ -33,20 +33,24 @@ def main() -> None:
 
 
 def _report(when: str, model: PPO, env: gymnasium.Env[Any, Any]) -> None:
-    outcomes = [_play(model, env, seed) for seed in range(EPISODES)]
-    mean_return, success = np.mean(outcomes, axis=0)
-    print(f"{when}: mean return {mean_return:.1f}, {success:.0%} of episodes end at the goal")
+    played = [_play(model, env, seed) for seed in range(EPISODES)]
+    returns, successes = zip(*played, strict=True)
+    print(f"{when}: mean return {np.mean(returns):.1f}", end="")
+    print("" if None in successes else f", {np.mean(successes):.0%} of episodes end at the goal")
 
 
-def _play(model: PPO, env: gymnasium.Env[Any, Any], seed: int) -> tuple[float, bool]:
-    """Play one episode and return its return, and whether it ends in the goal region."""
+def _play(model: PPO, env: gymnasium.Env[Any, Any], seed: int) -> tuple[float, bool | None]:
+    """Play one episode and return its return, and whether it ends in the goal region.
+
+    None where the family defines no success.
+    """
     observation, information = env.reset(seed=seed)
     total, over = 0.0, False
     while not over:
         action, _ = model.predict(observation, deterministic=True)
         observation, reward, terminated, truncated, information = env.step(action)
         total, over = total + float(reward), terminated or truncated
-    return total, information["is_success"]
+    return total, information.get("is_success")
 
 
 def _options() -> argparse.Namespace:
