@@ -340,10 +340,7 @@ def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[floa
             axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
                       markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
     still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
-    for values, line, label in (
-        (still, ":", "learns nothing"),
-        (oracle, "-", "knows the goal"),
-    ):
+    for values, line, label in ((still, ":", "learns nothing"), (oracle, "-", "knows the goal")):
         if values:
             limit = {"color": style.DARK_GREY, "linestyle": line, "linewidth": 0.8}
             axes.axhline(max(values), **limit, label=label)
