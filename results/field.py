@@ -13,7 +13,7 @@ docs/figures/field.png.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -34,11 +34,11 @@ from maesn.studies.study import Study
 HERE = Path(__file__).parent / "field"
 RESULTS, LINES, PUBLISHED = map(HERE.joinpath, ("results.csv.gz", "lines.csv", "published.csv"))
 RESULT = ("family", "line", "seed", "task", "episodes", "return", "success")
-LINE = ("family", "line", "label", "kind", "tasks", "protocol", "trained_for", "seed", "purpose")
-LINE += ("steps", "training", "iteration", "hours_left", "job")  # seconds, seconds, hours, digest
+LINE = ("family", "line", "source", "label", "kind", "tasks", "protocol", "trained_for", "seed")
+LINE += ("purpose", "steps", "training", "iteration")  # of training, of a meta-iteration: seconds
+LINE += ("hours_left", "job")  # digest of the job that evaluates it
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 EPISODES = (0, 1, 2, 3, 5, 10, 20, 100, 500)
-FEWEST_SEEDS = 3  # of a line that is shown: one seed says little
 # Lines whose rule has a name that says less.
 LABELS = dict.fromkeys(("maesn-random", "maesn-ml1_random"), "MAESN (random latents)")
 FEW = 20  # episodes, at most, after which success and the worst tasks are told
@@ -51,69 +51,98 @@ SHOWN = {
     SEARCH: MethodStyle("MAESN, search", style.VERMILLION, "-", "o"),
 }
 ORACLE, FLOOR = "oracle", "baseline"
+KINDS = {"lines": "method", "baselines": FLOOR}  # of the lines of a comparison
 COSTS = ("seeds", "steps (M)", "minutes", "seconds")  # of training; of a meta-iteration
 _PANELS = 4  # in a row
 LEGEND = """\
 Columns are numbers of episodes in a new task before the ones that are judged. ± is half the 95 %
-interval over tasks and seeds; of a published number, the spread that its source gives. Success and
-worst tenth (CVaR of the tasks) are those after 20 episodes, or after the most before. Lines of one
-method share its training, whose steps, minutes with one thread, and seconds of a meta-iteration
-(median) are means over the seeds. -: not played, or more episodes than a trial in training has;
-under success: the family defines none.
+interval over tasks and seeds, brackets hold its ends; ± of a published number is the spread that
+its source gives. MAESN and LatentSpace by themselves adapt by policy gradient, with (search) by
+latent search, with (stationary process) by the same search without training tasks. Success, the
+share of episodes that ever reach the goal, and worst tenth, the mean return of the worst tenth of
+the tasks (CVaR, from 50 tasks on), are those after 20 episodes, or after the most before. Lines of
+one method share its training, whose steps, minutes with one thread, and seconds of a meta-iteration
+(median) are means over the seeds; what a search plays for its prior is not in them. -: not played,
+more episodes than a trial in training has, or fewer than three seeds; under success: the family
+defines none. Differences are in the tasks that both lines have; above 0, search is ahead. It stops
+after 20 episodes, which are set against 100 and 500 of others.
 """
 
-Row = Mapping[str, str]
+Row = Mapping[str, Any]  # of a file: texts
 Returns = Float[np.ndarray, "seed task"]
 
 
 def collect(studies: Sequence[str], out: Path) -> None:
     """Write the raw results of studies, and what their lines took or would take."""
     kept = _by_job()
-    results: list[dict[str, Any]] = []
-    lines: list[dict[str, Any]] = []
+    lines: list[Row] = []
+    results: list[Row] = []
     for study in map(Study.load, studies):
         directory, execution = out / study.spec.name, study.execution(out)
         if out.resolve() != HERE.parent.resolve():  # where studies may be pruned
             directory.mkdir(parents=True, exist_ok=True)
             study.write_results(out)
-        manifest = read_json(directory / MANIFEST) if (directory / MANIFEST).exists() else {}
-        worlds = {world["name"]: world for world in manifest.get("comparisons", ())}
-        groups = {"lines": "method", "baselines": FLOOR}.items()
-        for planned, (group, of) in product(study.comparisons, groups):
-            found = {line["name"]: line for line in worlds.get(planned.name, {}).get(group, ())}
-            for line in planned.lines[group]:
-                label = LABELS.get(line.name, line.label)
-                about = {"family": planned.name, "line": line.name, "label": label, "kind": of}
-                about |= {"tasks": line.asked.tasks, "protocol": line.asked.protocol or ""}
-                about["trained_for"] = line.trial_episodes
-                done = {one["seed"]: one for one in found.get(line.name, {}).get("seeds", ())}
-                for member, jobs in line.seeds:
-                    row = about | {"seed": member.seed, "job": jobs[-1].rpartition("-")[2]}
-                    if (one := done.get(member.seed)) is None:
-                        if (address := _address(row)) in kept:
-                            lines.append(kept[address][0])
-                            results += kept[address][1]
-                        else:
-                            lines.append(row | {"hours_left": execution.hours_left(jobs)})
-                        continue
-                    table = read_adaptation(directory / one["table"])
-                    row |= {"purpose": table.purpose, "steps": one["training_steps"]}
-                    row |= {x: one.get(f"{x}_seconds") for x in ("training", "iteration")}
-                    lines.append(row)
-                    for k in np.flatnonzero(np.isin(table.episodes, EPISODES)):
-                        numbers = enumerate(zip(table.mean_return, table.success_rate, strict=True))
-                        at = row | {"episodes": table.episodes[k]}
-                        results += (
-                            at | {"task": task, "return": y[k], "success": reached[k]}
-                            for task, (y, reached) in numbers
-                        )
+        done = _done(directory)
+        for row, jobs in _planned(study):
+            one, address = done.get(_place(row)), _address(row)
+            found: tuple[Row, Sequence[Row]]
+            if one is not None and all(map(execution.is_done, jobs)):
+                found = _seed(row, one, directory)
+            elif address in kept:
+                found = {**kept[address][0], **row}, kept[address][1]
+            else:
+                found = {**row, "hours_left": execution.hours_left(jobs)}, ()
+            lines.append(found[0])
+            results += found[1]
     anew = {row["family"] for row in lines}
-    for path, rows, names in ((LINES, lines, LINE), (RESULTS, results, RESULT)):
-        before = read_rows(path) if path.exists() else []
-        rows += [row for row in before if row["family"] not in anew]
-        order = list(dict.fromkeys(row["family"] for row in (*before, *rows)))
-        rows.sort(key=lambda row: order.index(row["family"]))  # families stay where they were
-        write_rows(path, [{name: _short(row.get(name)) for name in names} for row in rows])
+    _replace(LINES, lines, LINE, anew)
+    _replace(RESULTS, results, RESULT, anew)
+
+
+def _planned(study: Study) -> Iterator[tuple[Row, Sequence[str]]]:
+    """Yield what a study says of each seed of its lines, and the jobs that compute it."""
+    for comparison, (group, kind) in product(study.comparisons, KINDS.items()):
+        for line in comparison.lines[group]:
+            about = {"family": comparison.name, "line": line.name, "source": line.source}
+            about |= {"label": LABELS.get(line.name, line.label), "kind": kind}
+            about |= {"tasks": line.asked.tasks, "protocol": line.asked.protocol}
+            about |= {"trained_for": line.trial_episodes}
+            for member, jobs in line.seeds:
+                yield about | {"seed": member.seed, "job": jobs[-1].rpartition("-")[2]}, jobs
+
+
+def _done(directory: Path) -> dict[tuple[str, ...], Row]:
+    """Return the seeds that the manifest of a study has, by `_place`."""
+    path = directory / MANIFEST
+    worlds = read_json(path)["comparisons"] if path.exists() else ()
+    return {
+        (world["name"], line["name"], str(one["seed"])): one
+        for world, group in product(worlds, KINDS)
+        for line in world[group]
+        for one in line["seeds"]
+    }
+
+
+def _seed(row: Row, one: Row, directory: Path) -> tuple[Row, Sequence[Row]]:
+    """Return what the training of a seed took, and its results in each task."""
+    table = read_adaptation(directory / one["table"])
+    took = {x: one.get(f"{x}_seconds") for x in ("training", "iteration")}
+    numbers = [*enumerate(zip(table.mean_return, table.success_rate, strict=True))]
+    results = [
+        {**row, "episodes": table.episodes[k], "task": task, "return": y[k], "success": reached[k]}
+        for k in np.flatnonzero(np.isin(table.episodes, EPISODES))
+        for task, (y, reached) in numbers
+    ]
+    return {**row, "purpose": table.purpose, "steps": one["training_steps"], **took}, results
+
+
+def _replace(path: Path, rows: Sequence[Row], names: Sequence[str], families: Set[str]) -> None:
+    """Write rows in the place of those that a file has of the families, which keep their order."""
+    before = read_rows(path) if path.exists() else []
+    every = [*rows, *(row for row in before if row["family"] not in families)]
+    order = list(dict.fromkeys(row["family"] for row in (*before, *every)))
+    every.sort(key=lambda row: order.index(row["family"]))
+    write_rows(path, [{x: _short(row.get(x)) for x in names} for row in every], names)
 
 
 def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
@@ -129,9 +158,14 @@ def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
     }
 
 
-def _address(row: Mapping[str, Any]) -> tuple[str, ...]:
+def _place(row: Row) -> tuple[str, ...]:
+    """Return where a seed stands."""
+    return tuple(str(row[name]) for name in ("family", "line", "seed"))
+
+
+def _address(row: Row) -> tuple[str, ...]:
     """Return what must be the same for the results of a seed to be the same."""
-    return tuple(str(row[name]) for name in ("family", "line", "seed", "job"))
+    return (*_place(row), row["job"])
 
 
 def _short(value: Any) -> str:
@@ -168,6 +202,11 @@ class Entry:
         return [row for row in self.seeds if not row["hours_left"]]
 
     @property
+    def num_tasks(self) -> int:
+        """Number of tasks, the first ones; 0 if nothing is done."""
+        return next((cell.returns.shape[1] for cell in self.cells.values()), 0)
+
+    @property
     def last(self) -> Cell | None:
         """The last of the few episodes."""
         few = [count for count in self.cells if count <= FEW]
@@ -180,11 +219,10 @@ class Entry:
         seeds = str(len(self.done))
         if left:
             seeds += f" of {len(self.seeds)} ({max(sum(left), 0.1):.1f} h to do)"
-        numbers = {
-            name: np.mean([float(row[name]) for row in self.done if row[name]] or [np.nan])
+        steps, training, each = (
+            np.mean([float(row[name]) for row in self.done if row[name]] or [np.nan])
             for name in ("steps", "training", "iteration")
-        }
-        steps, training, each = numbers.values()
+        )
         shown = f"{steps / 1e6:.2g}", f"{training / 60:.1f}", f"{each:.2f}"
         return seeds, *("" if text == "nan" else text for text in shown)
 
@@ -192,14 +230,14 @@ class Entry:
 def entries() -> dict[str, list[Entry]]:
     """Return the lines of each family, from the raw results.
 
-    A line that learns has no cells before `FEWEST_SEEDS` of it are done.
+    A line that learns has no cells before three seeds of it are done: fewer say little.
     """
     raw = _by_line(RESULTS)
     tables: dict[str, list[Entry]] = {}
     for name, seeds in _by_line(LINES).items():
         beyond = int(seeds[0]["trained_for"] or max(EPISODES) + 1)
         one = Entry(seeds, dict(_cells(raw.get(name, ()), beyond)))
-        shown = one.is_floor or len(one.done) >= FEWEST_SEEDS
+        shown = one.is_floor or len(one.done) >= statistics.FEWEST_SEEDS
         tables.setdefault(name[0], []).append(one if shown else Entry(seeds, {}))
     return tables
 
@@ -224,7 +262,8 @@ def _cells(rows: Sequence[Row], beyond: int) -> Iterator[tuple[int, Cell]]:
 
 def table(family: str, lines: Sequence[Entry]) -> TextTable:
     """Return the table of a family, with limits and the numbers of others."""
-    rows = [_row(one) for one in lines]
+    tasks = max(one.num_tasks for one in lines)
+    rows = [_row(one, tasks) for one in lines]
     notes = {}
     for row in read_rows(PUBLISHED):
         if row["family"] == family:
@@ -239,14 +278,12 @@ def table(family: str, lines: Sequence[Entry]) -> TextTable:
             if row["source"]:
                 notes[row["name"]] = f"{row['name']}: {row['source']}"
     headings = ("", *map(str, EPISODES), "success (%)", "worst tenth", *COSTS)
-    tasks = max((cell.returns.shape[1] for one in lines for cell in one.cells.values()), default=0)
-    title = (
-        f"{family}: return after so many episodes in {tasks} tasks" if tasks else f"{family}: to do"
-    )
-    return TextTable(title, headings, tuple(rows), tuple(notes.values()))
+    told = f"return after so many episodes in {tasks} tasks" if tasks else "to do"
+    return TextTable(f"{family}: {told}", headings, tuple(rows), tuple(notes.values()))
 
 
-def _row(entry: Entry) -> tuple[str, ...]:
+def _row(entry: Entry, tasks: int) -> tuple[str, ...]:
+    """Return the row of a line in a family's table of so many tasks."""
     unit, last = UNITS["mean_return"], entry.last
     texts = {
         count: unit.text(statistics.bootstrap(statistics.mean, cell.returns), brief=True)
@@ -255,46 +292,57 @@ def _row(entry: Entry) -> tuple[str, ...]:
     few = ["", ""]
     if last is not None:
         few[0] = UNITS["success_rate"].number(last.success.mean())
-        if last.returns.shape[1] >= statistics.FEWEST_TASKS:
-            few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns), brief=True)
+        if entry.num_tasks >= statistics.FEWEST_TASKS:
+            few[1] = unit.text(statistics.bootstrap(statistics.cvar, last.returns))
     first, done = entry.seeds[0], entry.done or entry.seeds
     label = f"{first['label']}, floor" if entry.is_floor else first["label"]
     if done[0]["purpose"] == EXPLORE and not entry.is_floor:
         label += ", z drawn"
     label += f", by {first['protocol']}" if first["protocol"] else ""
     label += f", {first['tasks']} tasks" if first["tasks"] != USUAL else ""
+    label += f", first {entry.num_tasks} tasks" if 0 < entry.num_tasks < tasks else ""
     return (label, *(texts.get(count, "-") for count in EPISODES), *few, *entry.costs)
 
 
 def differences(family: str, lines: Sequence[Entry]) -> TextTable:
-    """Return how far search is ahead of other lines after as many episodes, in the same tasks."""
-    few = [count for count in EPISODES if count <= FEW]
+    """Return how far search is ahead of other lines after as many episodes, in the same tasks.
+
+    Search stops after `FEW`, which are set against the more episodes of others as well.
+    """
     mine = [one for one in lines if one.seeds[0]["line"] == SEARCH]
     rows = []
     for search, one in product(mine, lines):
         alike = {entry.seeds[0]["tasks"] for entry in (search, one)}
         if one is search or one.is_floor or len(alike) > 1 or not (one.cells and search.cells):
             continue
-        pairs = [[x.cells[k].returns for x in (search, one) if k in x.cells] for k in few]
-        gaps = (_gap(*pair) if len(pair) == 2 else None for pair in pairs)
-        texts = (UNITS["mean_return"].text(gap) if gap else "-" for gap in gaps)
-        rows.append((one.seeds[0]["label"], *texts))
+        rows.append((one.seeds[0]["label"], *(_ahead(search, one, k) for k in EPISODES)))
     title = f"{family}: return of search less that of others, and its 95 % interval"
-    return TextTable(title, ("", *map(str, few)), tuple(rows))
+    return TextTable(title, ("", *map(str, EPISODES)), tuple(rows))
 
 
-def _gap(first: Returns, second: Returns) -> statistics.Interval:
-    """Return by how much the first is ahead in the tasks that both have, which come first."""
-    tasks = min(first.shape[1], second.shape[1])
-    pair = first[:, :tasks], second[:, :tasks]
-    return statistics.bootstrap(lambda x, y: statistics.mean(x) - statistics.mean(y), *pair)
+def _ahead(search: Entry, other: Entry, episodes: int) -> str:
+    """Say how far search is ahead in the tasks that both have, which come first."""
+    pair, mine = (search, other), min(episodes, FEW)
+    if mine not in search.cells or episodes not in other.cells:
+        return "-"
+    tasks = min(one.num_tasks for one in pair)
+    first, second = search.cells[mine].returns, other.cells[episodes].returns
+    first, second = first[:, :tasks], second[:, :tasks]
+    if len({(one.seeds[0]["source"], *(row["seed"] for row in one.done)) for one in pair}) == 1:
+        gap = statistics.bootstrap(statistics.mean, first - second)  # of the same policies
+    else:
+        gap = statistics.bootstrap(
+            lambda x, y: statistics.mean(x) - statistics.mean(y), first, second
+        )
+    return UNITS["mean_return"].text(gap)
 
 
 @style.publication_style()
 def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
     """Draw a panel for each family in which a search has results, if there is one.
 
-    Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing.
+    Bands are 95 % intervals over tasks and seeds; solid the oracle, dotted what learns nothing. A
+    panel has the tasks that all its lines have.
     The legend takes the last panel where one is free.
     """
     shown = {
@@ -329,17 +377,18 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
 
 
 def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[float]) -> None:
-    for order, (name, look) in enumerate(SHOWN.items()):
-        for one in lines:
-            counts = [count for count in one.cells if count > 0]
-            if one.seeds[0]["line"] != name or not counts:
-                continue
-            values = np.stack([one.cells[count].returns for count in counts], axis=-1)
-            mean, low, high = statistics.curve(values).band
-            axes.fill_between(counts, low, high, color=look.colour, alpha=0.15, linewidth=0)
-            axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
-                      markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
-    still = [one.cells[0].returns.mean() for one in lines if one.is_floor and one.cells]
+    by_name = {one.seeds[0]["line"]: one for one in lines if one.cells.keys() - {0}}
+    shown = [(look, by_name[name]) for name, look in SHOWN.items() if name in by_name]
+    tasks = min(one.num_tasks for _, one in shown)
+    for order, (look, one) in enumerate(shown):
+        counts = [count for count in one.cells if count > 0]
+        values = np.stack([one.cells[count].returns[:, :tasks] for count in counts], axis=-1)
+        mean, low, high = statistics.curve(values).band
+        axes.fill_between(counts, low, high, color=look.colour, alpha=0.15, linewidth=0)
+        axes.plot(counts, mean, color=look.colour, linestyle=look.line, marker=look.marker,
+                  markersize=3, label=look.label, zorder=3 + order)  # fmt: skip
+    floors = [one for one in lines if one.is_floor and one.cells]
+    still = [one.cells[0].returns[:, :tasks].mean() for one in floors]
     for values, line, label in ((still, ":", "learns nothing"), (oracle, "-", "knows the goal")):
         if values:
             limit = {"color": style.DARK_GREY, "linestyle": line, "linewidth": 0.8}

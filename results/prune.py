@@ -71,6 +71,8 @@ def jobs_of(path: Path) -> tuple[set[str], set[str]]:
     try:
         study = Study.load(source if source.exists() else path.name)
     except RunError:  # its file is elsewhere, so all of them may be needed
+        if not (path / MANIFEST).exists():
+            raise
         listed = {*read_json(path / MANIFEST)["jobs"]}
         return listed, listed
     execution = study.execution(path.parent)

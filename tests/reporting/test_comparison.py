@@ -37,6 +37,15 @@ def cells(table: TextTable, heading: str) -> list[str]:
     return [row[table.headings.index(heading)] for row in table.rows]
 
 
+def test_evaluations_of_the_same_policies_are_paired_by_seed() -> None:
+    tables = [adaptation_table(seed=seed) for seed in range(3)]
+    twice = dataclasses.replace(named("maesn", *tables), source="maesn")
+    apart = dataclasses.replace(twice, source="maml")
+    for other, is_even in ((twice, True), (apart, False)):
+        probability = cells(summary_tables(comparison(twice, other))[-1], "probability")
+        assert (probability == ["0.50 [0.50, 0.50]"]) == is_even
+
+
 def test_the_score_is_linear_between_the_better_baseline_and_the_oracle_and_beyond() -> None:
     returns = np.array([-400.0, -350.0, -300.0, -450.0, -200.0])
     np.testing.assert_allclose(comparison().score(returns, 8), [0.0, 0.5, 1.0, -0.5, 2.0])

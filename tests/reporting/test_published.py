@@ -42,12 +42,17 @@ def test_only_the_same_protocol_is_comparable() -> None:
     curve = comparable_curve("wheeled", "reference", None, "maesn", table)
     assert curve is not None
     assert comparable_curve("wheeled", "reference", 0.8, "maesn", table)
+    assert comparable_curve(
+        "wheeled", "reference", 0.8, "maesn", replace(table, tasks="test-first-9")
+    )
     assert comparable_curve("blockpush", "reference", None, "maesn", per_twenty)
     assert comparable_curve("wheeled", "reference", 1.0, "maesn", table) is None
     assert comparable_curve("wheeled", "paper", None, "maesn", table) is None
     assert comparable_curve("point", "reference", None, "maesn", table) is None
     assert comparable_curve("wheeled", "reference", None, "mine", table) is None
     assert comparable_curve("wheeled", "reference", None, "maml", table) is None
-    elsewhere = (replace(table, tasks=tasks) for tasks in ("ood", "test-radius-1.0"))
+    elsewhere = (
+        replace(table, tasks=tasks) for tasks in ("ood", "test-radius-1.0", "file-x-a1b2c3")
+    )
     for other in (replace(table, reward="dense"), per_twenty, *elsewhere):
         assert comparable_curve("wheeled", "reference", None, "maesn", other) is None

@@ -1,5 +1,6 @@
 """Which runs share a line, and which share a figure."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,17 @@ def test_runs_whose_returns_cannot_be_compared_are_refused(
     assert len(read_series(runs)) == 2
     with pytest.raises(RunError, match=f"must have the same `{next(iter(other))}`, got "):
         read_series([*runs, write_run(tmp_path / "c", seed=1, **other)])
+
+
+def test_tables_of_different_tasks_with_one_name_are_refused(tmp_path: Path) -> None:
+    runs = [write_run(tmp_path / "a"), write_run(tmp_path / "b", "maml")]
+    for directory, digest in zip(runs, ("a1", "b2"), strict=True):
+        record = directory / "adaptation" / "test-sparse.settings.json"
+        record.write_text(json.dumps({"task_digest": digest}))
+    with pytest.raises(RunError, match="the tables `test-sparse` are of different tasks"):
+        compare_runs(runs)
+    record.unlink()
+    assert len(compare_runs(runs).comparisons) == 1
 
 
 def test_rules_and_budgets_are_lines_of_the_same_comparison(tmp_path: Path) -> None:

@@ -155,6 +155,27 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
             'family = "point"\n[runs.maesn.on.ant]\niterations = 3',
             "`runs.maesn.on`: there is no name `ant`.",
         ),
+        ('family = "point"\nseeds = []\n[runs.maesn]', "a study needs seeds"),
+        (
+            'family = "point"\nseeds = [1, 1]\n[runs.maesn]',
+            "`runs.maesn`: each seed takes part once, got seeds 1, 1.",
+        ),
+        (
+            'family = "point"\n[scratch.trpo]\nseeds = [1, 1]',
+            "`scratch.trpo`: each seed takes part once, got seeds 1, 1.",
+        ),
+        (
+            'family = "point"\n[runs.zero_action]\npreset = "maesn"',
+            "`runs`: `zero_action` is the name of a reference: rename the run.",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\ntasks = "test"\n[evaluations.a]\ntasks = "training"',
+            "`lines.1`: `maesn` was trained on tasks of its own",
+        ),
+        (
+            'family = "point"\n[runs.maesn]\n[evaluations.a]\ndeploy_after = [0, 100]',
+            "`evaluations.a`: `deploy_after` needs `deploy_episodes`",
+        ),
     ],
 )
 def test_a_mistake_is_one_sentence_with_its_place(
@@ -191,6 +212,13 @@ def test_shipped_studies_can_be_planned(name: str) -> None:
     for job in jobs.values():
         assert set(job.needs) <= done  # each behind those that it needs
         done.add(job.name)
+
+
+def test_a_line_says_whether_its_tasks_were_trained_on(tmp_path: Path) -> None:
+    text = 'families = ["grid_navi", "point"]\n[runs.maesn]\n'
+    few, many = make_plan(read_study(written(tmp_path, text)))[1]
+    assert few.lines["lines"][0].document([])["evaluation"]["trained_on"]
+    assert "trained_on" not in many.lines["lines"][0].document([])["evaluation"]
 
 
 def test_a_family_may_be_one_of_its_variants(tmp_path: Path) -> None:

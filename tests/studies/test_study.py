@@ -122,6 +122,9 @@ def test_a_study_is_trained_adapted_and_compared_once(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert {row["method"] for row in rows} == {"mine", "zero_action", "random_actions"}
     assert sum(row["method"] == "mine" for row in rows) == 4 * 2
+    (comparison,) = compare_study(done.directory).comparisons
+    told = comparison.lines[0].table.about["episodes_per_update"]
+    assert told == FEW.usual.budget.per_update
     names = {name for name in files(done.directory) if name.endswith(".png")}
     kinds_of_figures = ("comparison", "ends", "profiles")
     assert names == {f"point/{kind}-point.png" for kind in kinds_of_figures}
@@ -270,6 +273,11 @@ def test_a_job_whose_process_was_killed_does_not_run(tmp_path: Path) -> None:
     (tmp_path / job.name).mkdir()
     (tmp_path / job.name / LOCK).write_text("process 1 on a machine")
     assert Execution({job.name: job}, tmp_path).status(job) == ("waiting", "")
+
+
+def test_an_error_of_the_users_code_is_told_as_it_is() -> None:
+    with contextlib.closing(LocalPool(1, 1)) as executor:
+        assert executor.describe(KeyError("reward")) == "it ended with KeyError('reward')."
 
 
 @pytest.mark.usefixtures("figures_unsaved")

@@ -87,6 +87,8 @@ class Evaluation:
                 f"and {budget.per_update}: change one of them."
             )
         self.check_reached("deploy_after", self.deploy_after)
+        if self.deploy_after and not budget.deploy:
+            raise ValueError("`deploy_after` needs `deploy_episodes`, which are played there.")
         for one in self._chosen:
             one.check_budget(budget.episodes, budget.per_update)
 

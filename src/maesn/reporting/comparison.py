@@ -53,6 +53,10 @@ class Line:
         """Number of tasks; in a comparison the first ones of all."""
         return self.table.num_tasks
 
+    def has_policies_of(self, other: "Line") -> bool:
+        """Whether both are evaluations of the same trained policies, seed by seed."""
+        return bool(self.source) and (self.source, self.seeds) == (other.source, other.seeds)
+
     def measure(self, name: str) -> Float[np.ndarray, "seed task update"]:
         """Return one of `MEASURES`."""
         return np.asarray(getattr(self.table, name))

@@ -25,7 +25,8 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    if family not in _PROTOCOLS or {"ood", "radius"} & {*table.tasks.split("-")}:
+    of_another_kind = {"ood", "radius", "file"} & {*table.tasks.split("-")}
+    if family not in _PROTOCOLS or of_another_kind or table.tasks.endswith(".npz"):
         return None
     radius, episodes = _PROTOCOLS[family]
     protocol = (variant, table.reward, table.episodes_per_update)

@@ -127,7 +127,7 @@ class AdaptationTable:
 
     @property
     def episodes_per_update(self) -> int | None:
-        """Episodes per task that each update learns from; None if the table has a single column."""
+        """Episodes per task between the first two columns; None if the table has a single one."""
         return int(self.episodes[1] - self.episodes[0]) if len(self.episodes) > 1 else None
 
     @property
@@ -175,16 +175,20 @@ def stack_seeds(tables: Sequence[AdaptationTable]) -> AdaptationTable:
     return replace(tables[0], **stacked)
 
 
-def read_adaptation(path: Path) -> AdaptationTable:
-    """Read a table of `maesn adapt` and the record beside it; a `RunError` if one is damaged."""
+def read_adaptation(path: Path, about: Mapping[str, Any] | None = None) -> AdaptationTable:
+    """Read a table of `maesn adapt`; a `RunError` if it is damaged.
+
+    `about` is its record. None: the one beside it, if there is one.
+    """
     rows, record = read_rows(path, _REMEDY), path.with_suffix(RECORD)
-    about = read_json(record, _REMEDY) if record.exists() else {}
+    if about is None:
+        about = read_json(record, _REMEDY) if record.exists() else {}
     try:
         purposes = {row["purpose"] for row in rows}
         purpose = DEPLOY if DEPLOY in purposes else EXPLORE
         first = EXPLORE if EXPLORE in purposes else purpose  # where nothing is learned
         if about and first != EXPLORE:
-            about |= {"episodes_per_update": about["deploy_episodes"]}
+            about = {**about, "episodes_per_update": about["deploy_episodes"]}
         explored, judged = (_grids(rows, one) for one in (first, purpose))
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"`{path}` cannot be drawn: {error}; {_REMEDY}.") from error

@@ -110,6 +110,11 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
     family = series[0].runs[0].family
     comparisons = []
     for title, lines in found.items():
+        if len({line.table.about.get("task_digest") for line in lines} - {None}) > 1:
+            raise RunError(
+                f"the tables `{title}` are of different tasks, as each run has its own `training` "
+                "tasks: report on each run by itself."
+            )
         world = lines[0].table.about.get("world", {})
         horizon = world.get("horizon", 0)
         comparisons.append(Comparison(tuple(lines), title, family, horizon=horizon))
@@ -190,12 +195,11 @@ def _line_of_study(line: Document, style: MethodStyle, world: Document, director
     # A published curve stands beside its method's first run by its own rule, and no variant.
     same = [one["source"] for one in world["lines"] if one["method"] == line["method"]]
     shown = line["source"] in same[:1] and not (line["addition"] or line["evaluation"]["rule"])
-    told = {name: world[name] for name in ("tasks", "reward")}
-    table = replace(
-        reading.stack_seeds([*map(reading.read_adaptation, files)]),
-        trial_episodes=line["trial_episodes"],
-        **told,
-    )
+    told, asked = {name: world[name] for name in ("tasks", "reward")}, line["evaluation"]
+    record = {"trial_episodes": line["trial_episodes"], "trained_on": asked.get("trained_on")}
+    record |= {"episodes_per_update": asked["per_update"], "deploy_episodes": asked["deploy"]}
+    tables = [reading.read_adaptation(file, record) for file in files]
+    table = replace(reading.stack_seeds(tables), **told)
     recorded = world["recorded"].get(line["source"])
     return Line(
         line["name"],

@@ -74,9 +74,13 @@ def improvement(x: Values, y: Values) -> Float[np.ndarray, "*batch"]:
     with s in [1, S], s' in [1, S'], t in [1, T] (Agarwal et al., "Deep reinforcement learning at
     the edge of the statistical precipice", NeurIPS 2021, "probability of improvement").
     """
-    # sign is -1, 0 or 1: half of it, plus one half, counts a tie as half a win.
-    signs = np.sign(x[..., :, None, :] - y[..., None, :, :])
-    return np.asarray(0.5 + 0.5 * signs.mean((-3, -2, -1)))
+    won = wins(x[..., :, None, :], y[..., None, :, :])
+    return np.asarray(won.mean((-3, -2, -1)))
+
+
+def wins(x: Float[np.ndarray, "*_"], y: Float[np.ndarray, "*_"]) -> Float[np.ndarray, "*_"]:
+    """Return 1 where x is above y, 0 where it is below, and half a win for a tie."""
+    return 0.5 + 0.5 * np.sign(x - y)
 
 
 def score(x: Values, oracle: Values, *baselines: Values) -> Float[np.ndarray, "*batch"]:
@@ -100,8 +104,9 @@ def bootstrap(statistic: Statistic, *samples: Float[np.ndarray, "*_"]) -> Interv
     (S - 1)/S of their variance). Values that are all equal give an interval of width 0.
 
     Several samples are paired by tasks: one resample takes the same tasks for all, so what makes a
-    task easy for all cancels. Their seeds are unrelated and drawn independently. The points of
-    samples `[point, seed, task]` all draw the same resamples, so that curves are smooth.
+    task easy for all cancels. Their seeds are unrelated and drawn independently. Of two samples of
+    the same trained policies, give their differences or `wins` as one sample. The points of samples
+    `[point, seed, task]` all draw the same resamples, so that curves are smooth.
 
     Raises:
         ValueError: the numbers of tasks differ.

@@ -224,10 +224,11 @@ def _end(comparison: Comparison, line: Line) -> dict[str, str]:
     """Return one method's row, by headings."""
     last, steps = line.column(-1), line.training_steps
     score = ""
-    if not np.isnan(comparison.score(last, line.num_tasks)).any():
+    if comparison.oracle and comparison.baselines:
         rivals = (*comparison.oracle, *comparison.baselines)
         bounds = (one.column(0, num_tasks=line.num_tasks) for one in rivals)
-        score = _SHARE.text(bootstrap(statistics.score, last, *bounds))
+        found = bootstrap(statistics.score, last, *bounds)
+        score = "" if np.isnan(found.mean) else _SHARE.text(found)
     returns, success = UNITS["mean_return"], UNITS["success_rate"]
     return {
         "method": line.label,
@@ -269,14 +270,20 @@ def _improvements(comparison: Comparison) -> TextTable:
     rows = []
     for pair in combinations(comparison.lines, 2):
         both = min(line.num_tasks for line in pair)
-        ends = (line.column(-1, num_tasks=both) for line in pair)
-        better = bootstrap(statistics.improvement, *ends)
+        ends = [line.column(-1, num_tasks=both) for line in pair]
+        if pair[0].has_policies_of(pair[1]):
+            better = bootstrap(statistics.mean, statistics.wins(*ends))
+        else:
+            better = bootstrap(statistics.improvement, *ends)
         rows.append((*(line.label for line in pair), _SHARE.text(better)))
     return TextTable(
         "Probability that the first method's last point is above the second's in a task",
         ("first", "second", "probability"),
         tuple(rows),
-        sentences(f"in brackets: {INTERVAL}. A tie counts as half a win"),
+        sentences(
+            f"in brackets: {INTERVAL}. A tie counts as half a win. Lines of the same trained "
+            "policies are compared policy by policy, others by all pairs of seeds"
+        ),
     )
 
 

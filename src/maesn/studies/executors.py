@@ -42,6 +42,8 @@ class LocalPool(AbstractExecutor):
         return self._last[pool]
 
     def describe(self, lost: BaseException) -> str:
+        if not isinstance(lost, BrokenProcessPool):
+            return super().describe(lost)
         if self._has_begun.is_set():
             return "its process died: something killed it, perhaps because memory ran out."
         raise RunError(

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from maesn import learners
-from maesn.envs import AnyEnv
+from maesn.envs import AnyEnv, TaskSet
 from maesn.envs.sources import find_tasks, resolve_family
 from maesn.evaluation.adapting import AdaptationOutcome, adapt
 from maesn.evaluation.evaluation import Evaluation
@@ -89,6 +89,10 @@ class TrainedRun(AbstractMember):
         learner = asked.fast_learner(trained, self.method, self.env(asked))
         return learner.capabilities.trial_episodes
 
+    def has_trained_on(self, tasks: TaskSet) -> bool:
+        """Whether these are the tasks that it is trained on."""
+        return self.run.training_tasks.digest() == tasks.digest()
+
     def open(self, jobs: Path) -> Run:
         """Open the run, once it is trained."""
         directory = jobs / self.needs[0] / RUN if self.needs else self.directory
@@ -133,8 +137,10 @@ def members_from_scratch(study: StudySpec, name: str, family: str) -> list[Untra
     spec = dataclasses.replace(spec, method=spec.method or name)
     with (Place(study.file) / "scratch" / name).refusing():
         learner = scratch_learner(spec, make_env(study.family(family), world))
+        seeds = spec.seeds or study.seeds
+        _check_seeds(seeds)
     own = {"method": spec.method, "label": spec.label, "settings": fields_to_json(spec)}
-    return [_untrained(world, learner, seed, **own) for seed in spec.seeds or study.seeds]
+    return [_untrained(world, learner, seed, **own) for seed in seeds]
 
 
 def scratch_learner(spec: ScratchSpec, env: AnyEnv) -> AbstractFastLearner[Any]:
@@ -166,7 +172,14 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]
         members = [_existing(one, study, family, own) for one in spec.directories] or [
             _to_train(study, name, family, seed) for seed in spec.seeds or study.seeds
         ]
+        _check_seeds([one.seed for one in members])
     return [dataclasses.replace(one, label=spec.label) for one in members]
+
+
+def _check_seeds(seeds: Sequence[int]) -> None:
+    """Refuse a seed that takes part twice, which would count as two."""
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"each seed takes part once, got seeds {', '.join(map(str, seeds))}.")
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:

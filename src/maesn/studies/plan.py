@@ -1,7 +1,7 @@
 """From what a study says to the jobs that compute it."""
 
 import dataclasses
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -120,9 +120,17 @@ class _Planner:
             seed=self.study.evaluation_seed,
             num_threads=self.study.threads,
         )
+        tasks = self.tasks(asked)
+        known = [isinstance(x, TrainedRun) and x.has_trained_on(tasks) for x in members]
+        if asked.tasks == "training" and isinstance(members[0], TrainedRun) and not all(known):
+            raise RunError(
+                f"`{source}` was trained on tasks of its own, so `training` is not the same set "
+                "for all lines: name a file of tasks."
+            )
         trials = [member.trial_episodes(asked) for member in members]
         seeds = [(one, [*self.evaluate(name, one, asked)]) for one in members]
-        return PlannedLine(name, source, asked, asked.count(self.tasks(asked)), trials[0], seeds)
+        trained_on = all(known) and asked.tasks != "training"
+        return PlannedLine(name, source, asked, asked.count(tasks), trials[0], trained_on, seeds)
 
     def comparison(self, name: str, lines: Sequence[PlannedLine]) -> PlannedComparison:
         """Return a comparison, with agents that learn nothing below, and the oracle above."""
@@ -147,6 +155,10 @@ class _Planner:
             "sparse_radius": first.sparse_radius,
             "horizon": below[0].first.env(asked).horizon,
         }
+        count = Counter(line.name for line in (*lines, *below, *above))
+        with (Place(study.file) / "runs").refusing():
+            if twice := [one for one in count if count[one] > 1]:
+                raise ValueError(f"`{twice[0]}` is the name of a reference: rename the run.")
         groups = {"lines": lines, "baselines": below, "oracle": above}
         named = {group: labelled(found) for group, found in groups.items()}
         recorded = dict(self.record(dict.fromkeys(line.source for line in lines)))

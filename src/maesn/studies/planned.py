@@ -18,6 +18,7 @@ class PlannedLine:
     asked: Evaluation
     num_tasks: int
     trial_episodes: int | None
+    trained_on: bool  # although it has another name, the set is that of training
     seeds: Sequence[tuple[AbstractMember, Sequence[str]]]
     """Members that differ in their seed alone, each with the jobs that evaluate it."""
     label: str = ""  # name in figures and tables
@@ -31,6 +32,7 @@ class PlannedLine:
         """Return the line as the manifest has it, with these seeds."""
         asked, first = self.asked, self.first
         budget = {**asked.budget._asdict(), "num_tasks": self.num_tasks, "seed": asked.seed}
+        known = {"trained_on": True} if self.trained_on else {}
         return {
             "name": self.name,
             "source": self.source,
@@ -38,7 +40,7 @@ class PlannedLine:
             "label": self.label,
             "addition": bool(asked.wrappers),
             "settings": first.settings,
-            "evaluation": {**asked.protocol_record, "rule": asked.rule_text, **budget},
+            "evaluation": {**asked.protocol_record, "rule": asked.rule_text, **budget, **known},
             "trial_episodes": self.trial_episodes,
             "seeds": seeds,
         }

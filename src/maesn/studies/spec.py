@@ -174,6 +174,8 @@ class StudySpec:
     def __post_init__(self) -> None:
         check_number("threads", self.threads, 1)
         check_number("evaluation_seed", self.evaluation_seed, 0, 2**32 - 1)
+        if not self.seeds:
+            raise ValueError("a study needs seeds, as in `seeds = [0, 1, 2]`.")
         if not self.families:
             raise ValueError('a study needs families, as in `family = "wheeled"`.')
         if not self.all_lines:
