@@ -25,7 +25,7 @@ from matplotlib.axes import Axes
 
 from maesn.reporting import statistics, style
 from maesn.reporting.reading import EXPLORE, read_adaptation
-from maesn.reporting.sources import MANIFEST
+from maesn.reporting.sources import MANIFEST, joined_files
 from maesn.reporting.style import METHOD_STYLES, MethodStyle
 from maesn.reporting.tables import UNITS, TextTable, to_page
 from maesn.storage import read_json, read_rows, write_rows, write_whole
@@ -68,7 +68,7 @@ defines none. Differences are in the tasks that both lines have; above 0, search
 after 20 episodes, which are set against 100 and 500 of others.
 """
 
-Row = Mapping[str, Any]  # of a file: texts
+Row = Mapping[str, Any]
 Returns = Float[np.ndarray, "seed task"]
 
 
@@ -82,11 +82,11 @@ def collect(studies: Sequence[str], out: Path) -> None:
         if out.resolve() != HERE.parent.resolve():  # where studies may be pruned
             directory.mkdir(parents=True, exist_ok=True)
             study.write_results(out)
-        done = _done(directory)
+        done, joined = _done(directory), joined_files(directory)
         for row, jobs in _planned(study):
             one, address = done.get(_place(row)), _address(row)
             found: tuple[Row, Sequence[Row]]
-            if one is not None and all(map(execution.is_done, jobs)):
+            if one is not None and joined.get(one["table"]) == jobs:
                 found = _seed(row, one, directory)
             elif address in kept:
                 found = {**kept[address][0], **row}, kept[address][1]
@@ -379,7 +379,7 @@ def draw(tables: Mapping[str, Sequence[Entry]]) -> None:
 def _draw(axes: Axes, family: str, lines: Sequence[Entry], oracle: Sequence[float]) -> None:
     by_name = {one.seeds[0]["line"]: one for one in lines if one.cells.keys() - {0}}
     shown = [(look, by_name[name]) for name, look in SHOWN.items() if name in by_name]
-    tasks = min(one.num_tasks for _, one in shown)
+    tasks = min((one.num_tasks for _, one in shown), default=None)
     for order, (look, one) in enumerate(shown):
         counts = [count for count in one.cells if count > 0]
         values = np.stack([one.cells[count].returns[:, :tasks] for count in counts], axis=-1)

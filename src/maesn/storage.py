@@ -76,7 +76,10 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 def write_rows(
     path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str] | None = None
 ) -> None:
-    """Write rows as `.csv` or `.csv.gz`; see `write_whole`. Columns are those of the first row."""
+    """Write rows as `.csv` or `.csv.gz`; see `write_whole`.
+
+    `columns` None: those of the first row, which there must be.
+    """
     rows, text = list(rows), io.StringIO()
     writer = csv.DictWriter(text, fieldnames=columns or list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -8,9 +8,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 from scripts import load_script
+from synthetic_runs import adaptation_table, write_adaptation
 
 from maesn.reporting import statistics
-from maesn.storage import write_rows
+from maesn.reporting.sources import MANIFEST
+from maesn.storage import write_json, write_rows
 from maesn.studies.study import Study
 
 COUNTS = (0, 1, 2, 3, 5, 10, 20)
@@ -19,10 +21,12 @@ COUNTS = (0, 1, 2, 3, 5, 10, 20)
 @pytest.fixture
 def field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module = load_script("results/field.py")
+    here = tmp_path / "field"
+    here.mkdir()
     for name in ("RESULTS", "LINES", "PUBLISHED"):
-        monkeypatch.setattr(module, name, tmp_path / getattr(module, name).name)
-    monkeypatch.setattr(module, "HERE", tmp_path)
-    monkeypatch.setattr(module, "FIGURES", tmp_path)
+        monkeypatch.setattr(module, name, here / getattr(module, name).name)
+    monkeypatch.setattr(module, "HERE", here)
+    monkeypatch.setattr(module, "FIGURES", here)
     return module
 
 
@@ -30,7 +34,8 @@ def write(field: ModuleType, returns: np.ndarray) -> None:
     """Raw files of a search, random latents of the same policies and a memory of three episodes
     with three seeds, PEARL with two, and one line to do.
 
-    All but the search have played 50 of the tasks alone, and return 0.7 less.
+    All but the search have played 50 of the tasks alone, and return 0.7 less; random latents
+    return 1.5 less after 100 episodes than the search after its last.
     """
     rows = [
         f"world,{line},{seed},{task},{COUNTS[k]},"
@@ -42,6 +47,10 @@ def write(field: ModuleType, returns: np.ndarray) -> None:
             ("pearl", 2, 50, 0.7),
         )
         for seed, task, k in np.ndindex(seeds, tasks, returns.shape[2])
+    ]
+    rows += [
+        f"world,maesn-random,{seed},{task},100,{returns[seed, task, -1] - 1.5},0"
+        for seed, task in np.ndindex(3, 50)
     ]
     text = "\n".join([",".join(field.RESULT), *rows, ""])
     field.RESULTS.write_bytes(gzip.compress(text.encode()))
@@ -102,6 +111,7 @@ def test_the_table_says_what_the_raw_file_says(field: ModuleType) -> None:
     assert list(ahead) == ["random", "RL2"]
     # Nothing but 0.7 differs in the same policies, so that nothing is left to chance.
     assert ahead["random"]["1"] == "0.7 [0.7, 0.7]"
+    assert ahead["random"]["100"] == "1.5 [1.5, 1.5]"
     shown, _, interval = ahead["RL2"]["1"].partition(" ")
     low, high = map(float, interval.strip("[]").split(", "))
     assert shown == "0.7"
@@ -145,3 +155,28 @@ def test_what_is_done_stays_where_the_studies_directory_lacks_it(
     assert (found["0"]["steps"], found["0"]["hours_left"]) == ("5", "")
     assert all(float(found[seed]["hours_left"]) > 0 for seed in "12")
     assert [row["seed"] for row in field.read_rows(field.RESULTS)] == ["0", "9"]
+
+
+def test_a_seed_is_taken_if_the_study_has_it_from_the_same_jobs(
+    field: ModuleType, tmp_path: Path
+) -> None:
+    file = tmp_path / "small.toml"
+    file.write_text('family = "point"\nseeds = [0, 1]\n[runs.maesn]\n')
+    (line,) = Study.load(file).comparisons[0].lines["lines"]
+    seeds = [{"seed": seed, "table": f"{seed}.csv", "training_steps": 7} for seed in (0, 1)]
+    world = {"name": "point", "lines": [{"name": "maesn", "seeds": seeds}], "baselines": []}
+    files = {"0.csv": line.seeds[0][1], "1.csv": ["of-other-settings"]}
+    write_json(tmp_path / "small" / MANIFEST, {"comparisons": [world], "files": files})
+    table = adaptation_table()
+    for name in files:
+        write_adaptation(tmp_path / "small" / name, table)
+    field.collect([str(file)], tmp_path)
+    done, stale, *_ = field.read_rows(field.LINES)
+    assert (done["seed"], done["steps"], done["hours_left"]) == ("0", "7", "")
+    assert (stale["seed"], stale["steps"]) == ("1", "")
+    assert float(stale["hours_left"]) > 0
+    results = field.read_rows(field.RESULTS)
+    assert {row["seed"] for row in results} == {"0"}
+    shown = np.isin(table.episodes, field.EPISODES)
+    values = table.mean_return[:, shown].T.ravel()
+    np.testing.assert_allclose([float(row["return"]) for row in results], values, atol=5e-4)

@@ -52,7 +52,8 @@ def test_only_the_same_protocol_is_comparable() -> None:
     assert comparable_curve("wheeled", "reference", None, "mine", table) is None
     assert comparable_curve("wheeled", "reference", None, "maml", table) is None
     elsewhere = (
-        replace(table, tasks=tasks) for tasks in ("ood", "test-radius-1.0", "file-x-a1b2c3")
+        replace(table, tasks=tasks)
+        for tasks in ("ood", "test-radius-1.0", "file-x-a1b2c3", "my/goals")
     )
     for other in (replace(table, reward="dense"), per_twenty, *elsewhere):
         assert comparable_curve("wheeled", "reference", None, "maesn", other) is None

@@ -5,11 +5,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from synthetic_runs import run, write_run
+from synthetic_runs import adaptation_table, run, write_adaptation, write_run
 
-from maesn.reporting.sources import compare_runs, group_series, read_series
+from maesn.reporting.sources import (
+    MANIFEST,
+    compare_runs,
+    compare_study,
+    group_series,
+    read_series,
+)
 from maesn.reporting.style import METHOD_STYLES
-from maesn.storage import RunError
+from maesn.reporting.tables import summary_tables
+from maesn.storage import RunError, write_json
 
 
 def test_seeds_of_one_experiment_are_one_series() -> None:
@@ -62,6 +69,23 @@ def test_tables_of_different_tasks_with_one_name_are_refused(tmp_path: Path) -> 
         compare_runs(runs)
     record.unlink()
     assert len(compare_runs(runs).comparisons) == 1
+
+
+def test_a_study_says_how_its_lines_were_evaluated(tmp_path: Path) -> None:
+    write_adaptation(tmp_path / "table.csv", adaptation_table())
+    seeds = [{"seed": 0, "table": "table.csv", "training_steps": 7}]
+    asked = {"rule": "", "per_update": 10, "deploy": 0, "trained_on": True}
+    line = {"name": "maesn", "source": "maesn", "method": "maesn", "label": "MAESN"}
+    line |= {"addition": False, "settings": {}, "trial_episodes": None}
+    line |= {"evaluation": asked, "seeds": seeds}
+    world = {"name": "grid", "family": "grid", "variant": "reference", "sparse_radius": None}
+    world |= {"horizon": 15, "tasks": "test", "reward": "sparse", "recorded": {}}
+    world |= {"lines": [line], "baselines": [line], "oracle": []}
+    write_json(tmp_path / MANIFEST, {"comparisons": [world], "figures": []})
+    (comparison,) = compare_study(tmp_path).comparisons
+    # The columns of the table are 50 episodes apart.
+    assert comparison.lines[0].table.prior_reach.endswith("of the goals in 10 episodes")
+    assert "These tasks are the ones that were trained on." in summary_tables(comparison)[0].notes
 
 
 def test_rules_and_budgets_are_lines_of_the_same_comparison(tmp_path: Path) -> None:

@@ -166,7 +166,7 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
         ),
         (
             'family = "point"\n[runs.zero_action]\npreset = "maesn"',
-            "`runs`: `zero_action` is the name of a reference: rename the run.",
+            "`lines`: `zero_action` is the name of a reference: rename what is called so.",
         ),
         (
             'family = "point"\n[runs.maesn]\ntasks = "test"\n[evaluations.a]\ntasks = "training"',

@@ -1,6 +1,7 @@
 """The published curves, digitised from the paper's figures, and what they can stand beside."""
 
 import csv
+import re
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from maesn.reporting.reading import AdaptationTable
 # The published returns depend on the rewards of the reference code, on tasks as in training, and on
 # these: the sparse radius in metres, which is the family's own, and the episodes per update.
 _PROTOCOLS = {"wheeled": (0.8, 50), "ant": (0.8, 50), "blockpush": (0.2, 20)}
+_AS_IN_TRAINING = re.compile(r"(training|validation|test|final|final-2)(-first-\d+)?")
 
 
 class PublishedCurve(NamedTuple):
@@ -25,8 +27,7 @@ def comparable_curve(
     family: str, variant: str, sparse_radius: float | None, method: str, table: AdaptationTable
 ) -> PublishedCurve | None:
     """Return what the paper shows for a preset; None if nothing, or if its table means another."""
-    of_another_kind = {"ood", "radius", "file"} & {*table.tasks.split("-")}
-    if family not in _PROTOCOLS or of_another_kind or table.tasks.endswith(".npz"):
+    if family not in _PROTOCOLS or not _AS_IN_TRAINING.fullmatch(table.tasks):
         return None
     radius, episodes = _PROTOCOLS[family]
     protocol = (variant, table.reward, table.episodes_per_update)

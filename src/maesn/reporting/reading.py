@@ -118,7 +118,7 @@ class AdaptationTable:
     explored_success_rate: Float[np.ndarray, "*seed task explored"]
     # Episodes of a trial that meta-training has prepared for; None if no record says so.
     trial_episodes: int | None = None
-    about: Mapping[str, Any] = field(default_factory=dict)  # the record beside the table, if any
+    about: Mapping[str, Any] = field(default_factory=dict)  # the record, if there is one
 
     @property
     def num_tasks(self) -> int:

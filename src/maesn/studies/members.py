@@ -91,7 +91,7 @@ class TrainedRun(AbstractMember):
 
     def has_trained_on(self, tasks: TaskSet) -> bool:
         """Whether these are the tasks that it is trained on."""
-        return self.run.training_tasks.digest() == tasks.digest()
+        return self.run.config.task_digest == tasks.digest()
 
     def open(self, jobs: Path) -> Run:
         """Open the run, once it is trained."""

@@ -1,7 +1,7 @@
 """From what a study says to the jobs that compute it."""
 
 import dataclasses
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -121,15 +121,15 @@ class _Planner:
             num_threads=self.study.threads,
         )
         tasks = self.tasks(asked)
-        known = [isinstance(x, TrainedRun) and x.has_trained_on(tasks) for x in members]
-        if asked.tasks == "training" and isinstance(members[0], TrainedRun) and not all(known):
+        known = [one.has_trained_on(tasks) for one in members if isinstance(one, TrainedRun)]
+        if asked.tasks == "training" and not all(known):
             raise RunError(
                 f"`{source}` was trained on tasks of its own, so `training` is not the same set "
                 "for all lines: name a file of tasks."
             )
         trials = [member.trial_episodes(asked) for member in members]
         seeds = [(one, [*self.evaluate(name, one, asked)]) for one in members]
-        trained_on = all(known) and asked.tasks != "training"
+        trained_on = any(known) and asked.tasks != "training"
         return PlannedLine(name, source, asked, asked.count(tasks), trials[0], trained_on, seeds)
 
     def comparison(self, name: str, lines: Sequence[PlannedLine]) -> PlannedComparison:
@@ -155,10 +155,12 @@ class _Planner:
             "sparse_radius": first.sparse_radius,
             "horizon": below[0].first.env(asked).horizon,
         }
-        count = Counter(line.name for line in (*lines, *below, *above))
-        with (Place(study.file) / "runs").refusing():
-            if twice := [one for one in count if count[one] > 1]:
-                raise ValueError(f"`{twice[0]}` is the name of a reference: rename the run.")
+        references = {line.name for line in (*below, *above)}
+        with (Place(study.file) / "lines").refusing():
+            if taken := [line.name for line in lines if line.name in references]:
+                raise ValueError(
+                    f"`{taken[0]}` is the name of a reference: rename what is called so."
+                )
         groups = {"lines": lines, "baselines": below, "oracle": above}
         named = {group: labelled(found) for group, found in groups.items()}
         recorded = dict(self.record(dict.fromkeys(line.source for line in lines)))
