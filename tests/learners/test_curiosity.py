@@ -227,6 +227,19 @@ def test_the_pool_holds_a_sample_of_all_batches() -> None:
         assert set(added) <= seen
 
 
+def test_the_pool_gets_its_share_where_episodes_end_early() -> None:
+    played = linear_episodes(0, (4,), 10)
+    short = replace(
+        played, valid=played.valid.at[:, 4:].set(False)
+    )  # 16 steps, as many as it takes
+    state, _ = judge(SMALL, KEY, SMALL.init(KEY, 2, 1), short)
+    assert int(state.pool.size) == 16
+    expected = np.asarray(transitions(short).rows)[np.asarray(short.valid).ravel()]
+    np.testing.assert_array_equal(
+        np.unique(state.pool.rows[:16], axis=0), np.unique(expected, axis=0)
+    )
+
+
 def test_a_world_without_observations_is_refused() -> None:
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0"):
         CuriosityBonus().init(KEY, 0, 2)

@@ -84,6 +84,7 @@ CAN = {
     "maml_bias_only": Capabilities(),
     "rl2": Capabilities(is_recurrent=True, trial_episodes=2, learns_from_reward=False),
     "oracle": Capabilities(learns_from_reward=False),
+    "pearl": Capabilities(learns_from_reward=False),
 }
 
 

@@ -147,6 +147,17 @@ def test_a_meta_iteration_plays_trials_believes_and_improves(
     assert "Compiling" not in caplog.text
 
 
+def test_a_surprise_beyond_all_bounds_spoils_no_later_bonus() -> None:
+    learner = small(bonus=ALL, decoder=BeliefDecoderSettings((4,)))
+    state = learner.init(jax.random.key(0), PROBLEM)
+    wild = jax.tree.map(lambda x: 1e30 * jnp.ones_like(x), state.networks.decoder)
+    state = eqx.tree_at(lambda one: one.networks.decoder, state, wild)
+    after, info = learner.step(jax.random.key(1), state, Watching())
+    assert float(info.bonus) == 0.0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after.bonus))
+    assert bool(info.value_accepted)
+
+
 def test_no_gradient_runs_from_the_policy_into_the_belief() -> None:
     """Another step of the policy leads to the same encoder and decoder, bit for bit."""
     rates = (DESCENT.learning_rate, 1e-1)  # the first one is compiled already

@@ -298,6 +298,22 @@ def test_the_bonus_equals_its_formula_and_is_annealed() -> None:
         )
 
 
+def test_a_bonus_that_becomes_small_stays_small() -> None:
+    """Its scale is that of all iterations so far."""
+    bonus = HyperBonus(0.0, 1.0, last_iteration=10**9)
+    state = bonus.init(jax.random.key(0), 1)
+    assert state is not None
+    stream = np.random.default_rng(0)
+    seen, valid = jnp.zeros((5, TIME, 1)), jnp.ones((5, TIME), bool)
+    reward, error = (jnp.asarray(stream.random((5, TIME)), float) for _ in range(2))
+    sizes = []
+    for iteration in range(50):
+        faded = error / (iteration + 1)
+        found, state = bonus.judge(state, jnp.asarray(0), seen, faded, reward, valid, 0.9)
+        sizes.append(float(found.mean()))
+    assert sizes[-1] < 0.2 * sizes[0]
+
+
 def test_what_is_seen_often_is_no_longer_new() -> None:
     bonus = HyperBonus(1.0, learning_rate=1e-2, updates=300, batch_size=16)
     state = bonus.init(jax.random.key(0), 1)

@@ -37,8 +37,8 @@ class Capabilities(NamedTuple):
     A learner of trials learns one episode per update: the episodes that are played side by side
     belong to trials of their own. Beyond `trial_episodes` it does what it was not trained for."""
     learns_from_reward: bool = True
-    """Whether updates depend on the rewards of the episodes. Those of a recurrent policy and of an
-    oracle do not."""
+    """Whether updates depend on `Episodes.reward`. Those of a recurrent policy, of PEARL and of an
+    oracle do not: they read the received reward, which has no bonus, or none."""
     has_bonus: bool = False
     """Whether a bonus is added to the rewards before updates see them."""
     least_episodes: int = 1

@@ -108,9 +108,16 @@ def moments_after(
     valid: Bool[Array, "trial time"],
 ) -> Float[Array, " 3"]:
     """Return running moments after one more batch."""
-    means = [masked_mean(power, valid) for power in (values, values**2)]
-    new = jnp.stack([jnp.ones(()), *means])
+    new = moments_of(values, valid)
     return STATISTICS_DECAY * moments + (1.0 - STATISTICS_DECAY) * new
+
+
+def moments_of(
+    values: Float[Array, "trial time"], valid: Bool[Array, "trial time"]
+) -> Float[Array, " 3"]:
+    """Return 1, mean and mean square of a batch: sums of them are moments of several batches."""
+    means = [masked_mean(power, valid) for power in (values, values**2)]
+    return jnp.stack([jnp.ones(()), *means])
 
 
 def mean_and_std(moments: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:

@@ -13,7 +13,12 @@ from maesn.axes import TaskKeys
 from maesn.context import Latent, held_at
 from maesn.experience.agent import Agents
 from maesn.experience.episodes import Collect, Episodes
-from maesn.learners.fast import AbstractFastLearner, AbstractSettableLatent, Purpose
+from maesn.learners.fast import (
+    AbstractFastLearner,
+    AbstractSettableLatent,
+    Capabilities,
+    Purpose,
+)
 from maesn.learners.pearl.encoder import ContextEncoder, Factors
 from maesn.learners.pearl.policy import SquashedPolicy
 from maesn.learners.pearl.replay import transitions_of
@@ -41,6 +46,10 @@ class PearlFastLearner(AbstractFastLearner[PearlFastState], AbstractSettableLate
     """Whether the next observation is part of the context."""
     noisy_exploration: bool = False
     """Whether actions have the noise of training, to explore."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(learns_from_reward=False)
 
     def init(self, keys: TaskKeys) -> PearlFastState:
         """Nothing is random."""

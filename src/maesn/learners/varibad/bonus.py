@@ -19,7 +19,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from maesn.axes import Key
-from maesn.learners.trial_value import mean_and_std, moments_after
+from maesn.learners.trial_value import mean_and_std, moments_of
 from maesn.networks import MLP, init_mlp
 from maesn.numerics import discounted_returns, first_order_step
 from maesn.settings import check_least, check_positive, check_sizes
@@ -109,12 +109,9 @@ class HyperBonus(eqx.Module):
         novelty = jax.vmap(jax.vmap(lambda x: _mismatch(state.predictor, state.target, x)))(seen)
         returns = jax.vmap(discounted_returns, in_axes=(0, 0, None))
         streams = (reward, novelty, error)
-        moments = jnp.stack(
-            [
-                moments_after(before, returns(stream, valid, discount), valid)
-                for before, stream in zip(state.moments, streams, strict=True)
-            ]
-        )
+        # Of all batches so far: scales that forget would make the familiar new again.
+        batch = [moments_of(returns(stream, valid, discount), valid) for stream in streams]
+        moments = state.moments + jnp.stack(batch)
         reward_std, novelty_std, error_std = (mean_and_std(one)[1] for one in moments)
         weighted = (
             self.novelty_weight * novelty / novelty_std + self.error_weight * error / error_std

@@ -40,6 +40,7 @@ from maesn.numerics import (
     DiagonalGaussian,
     MinibatchDescent,
     Ring,
+    if_finite,
     masked_mean,
     standardize,
 )
@@ -257,4 +258,5 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
         bonus, judged = self.bonus.judge(
             state.bonus, state.iteration, seen, errors, trials.reward, steps.valid, self.discount
         )
-        return bonus, self.bonus.learn(learn_key, judged, seen, steps.valid)
+        learned = self.bonus.learn(learn_key, judged, seen, steps.valid)
+        return if_finite((bonus, learned), (jnp.zeros_like(bonus), state.bonus))[0]

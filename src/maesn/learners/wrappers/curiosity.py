@@ -163,7 +163,9 @@ class CuriosityBonus(eqx.Module):
         """
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
-        chosen = jax.random.permutation(pool_key, len(played.valid))[: self.pool_additions]
+        drawn = jax.random.permutation(pool_key, len(played.valid))
+        # In the order drawn, but those that were played first.
+        chosen = drawn[jnp.argsort(~played.valid[drawn])][: self.pool_additions]
         pool = state.pool.extend(played.rows[chosen], played.valid[chosen])
         state = replace(state, pool=pool)
         gain = self.information_gains(noise_key, state.network, state.scale, played)
