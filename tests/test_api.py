@@ -105,6 +105,38 @@ def test_export_and_refusal(trained: Path, tmp_path: Path) -> None:
         api.export(trained, tmp_path / "no" / "such" / "directory" / "policy.npz")
 
 
+_OF_ANOTHER_TYPE = """
+import maesn, os, sys
+os.chdir(sys.argv[1])
+for call in (
+    lambda: maesn.adapt("wheeled", rule="search"),
+    lambda: maesn.export("wheeled", "policy.npz", rule="search"),
+    lambda: maesn.report("nowhere"),
+    lambda: maesn.compare("nowhere"),
+):
+    try:
+        call()
+    except maesn.RunError as error:
+        print(error)
+"""
+
+
+def test_what_is_no_rule_or_no_list_is_told_in_a_sentence(tmp_path: Path) -> None:
+    """In a process of its own: here, annotations are enforced."""
+    words = [sys.executable, "-c", _OF_ANOTHER_TYPE, str(tmp_path)]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    adapted, exported, *others = said.splitlines()
+    assert adapted == "`rule` must be one, as `maesn.SearchRule()`, got 'search'."
+    assert exported.endswith("`maesn.GradientRule()` or `maesn.SearchRule()`. It is 'search'.")
+    assert [one.partition(":")[0] for one in others] == ["there is no run in `nowhere`"] * 2
+
+
+def test_a_number_of_checkpoints_is_refused_before_the_run_is_made(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="`keep` must be at least 0, got -1"):
+        api.train(maesn_preset(), RunSettings("point"), tmp_path / "run", keep=-1)
+    assert not (tmp_path / "run").exists()
+
+
 def test_help_answers_within_half_a_second() -> None:
     begin = time.perf_counter()
     done = subprocess.run(

@@ -29,8 +29,8 @@ from maesn.runs.training import KEEP, train_live
 from maesn.search.prior import USUAL as USUAL_PRIOR
 from maesn.search.prior import PriorSettings
 from maesn.search.stored import played_live, run_prior
-from maesn.settings import in_files
-from maesn.storage import RunError, check_writable
+from maesn.settings import check_number, in_files
+from maesn.storage import RunError, check_writable, refusals
 
 
 def train(
@@ -68,6 +68,8 @@ def train(
         EpisodeError: an episode went wrong; the last good state is in the directory.
     """
     request_devices(devices)
+    with refusals():
+        check_number("keep", keep, 0)
     # Actions are choices in some families: nobody should have to say so.
     named = settings.family if family is None else family.name
     env = make_env(family or resolve_family(named), settings)
@@ -253,6 +255,8 @@ def report(
     Raises:
         RunError: no run is named, or one cannot be used.
     """
+    if isinstance(of, str | Path | Run):
+        of = [of]
     if not of:
         raise RunError("name at least one run or study: maesn report DIR [DIR ...]")
     if out is not None and Path(out).suffix == ".html":

@@ -122,9 +122,11 @@ def _commands(error: Exception, arguments: list[str]) -> list[str]:
 
     if not isinstance(error, NotNamedError):
         return []
-    if set(error.options.split()) & set(arguments):
+    missing = {name: own for name, own in error.named.items() if f"--{name}" not in arguments}
+    if not missing:
         return ["One option names one module: give one that imports what all the runs need."]
-    return [f"Type: maesn {shlex.join(arguments)}{error.options}"]
+    options = (f" --{name} {own}" for name, own in missing.items())
+    return [f"Type: maesn {shlex.join(arguments)}{''.join(options)}"]
 
 
 def _is_mistake(error: Exception) -> bool:

@@ -89,6 +89,15 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     assert set(np.unique(recorded["reached"])) <= {0.0, 1.0}
 
 
+def test_a_family_may_have_fewer_tasks_than_searches_are_shown_of(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exploration, "_TASKS", 101)  # more than the 100 of `point`
+    monkeypatch.setattr(exploration, "_EPISODES", 1)
+    recorded = exploration._searches(run)
+    assert len(recorded["task"]) == len(recorded["returns"]) == 100
+
+
 def test_a_belief_is_that_of_the_agent_and_predicts_cell_by_cell(tmp_path: Path) -> None:
     """The decoder's last layer is set to a chance of its own in every cell, whatever the belief."""
     decoder = BeliefDecoderSettings((4,), "bernoulli", (5, 5))

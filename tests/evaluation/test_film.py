@@ -176,6 +176,19 @@ def test_the_files_can_be_read(run: Run, drawn: list[Drawn], tmp_path: Path) -> 
         assert np.abs(last - end).mean() < 0.5 * np.abs(start - end).mean()
 
 
+def test_episodes_have_the_names_that_tables_count_by() -> None:
+    """Of trials an update is one episode, and side by side stand different trials."""
+    played = {before: [Filmed({}, float(k), solved=False, pictures=[]) for k in range(3)]
+              for before in (0, 4)}  # fmt: skip
+    alone = film.with_names(played, 2, are_trials=False)
+    assert [*alone] == ["before adaptation", "after learning from 4 episodes"]
+    assert [name for name, _ in [*alone.values()][1]] == ["episode 5", "episode 6", "episode 7"]
+    trials = film.with_names(played, 2, are_trials=True)
+    assert [*trials] == ["before adaptation", "after learning from 2 episodes"]
+    names = [name for name, _ in [*trials.values()][1]]
+    assert names == ["trial 1, episode 3", "trial 2, episode 3", "trial 1, episode 4"]
+
+
 @pytest.fixture
 def painting(tmp_path: Path) -> Run:
     return Run.create(tmp_path / "painting", tiny_maesn(), tiny_settings(), family=painters)

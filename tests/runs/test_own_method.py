@@ -67,6 +67,13 @@ def test_reading_a_run_imports_nothing_and_says_what_to_type(
     assert Run.open(unnamed).latest().iteration == 4
 
 
+def test_only_what_is_missing_is_printed(unnamed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["resume", str(unnamed), "--family", "mine:family"]
+    assert cli._commands(
+        NotNamedError(unnamed, {"method": "walk:Walk", "family": "mine:family"}), words
+    ) == [f"Type: maesn {' '.join(words)} --method walk:Walk"]
+
+
 def test_no_command_is_printed_that_would_not_work(
     unnamed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

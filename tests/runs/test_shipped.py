@@ -1,6 +1,7 @@
 """The policies that come with the library: all that are there, by their names."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -112,6 +113,15 @@ def test_the_installed_directory_is_never_written_to() -> None:
     assert working_copy(TRAINED / "wheeled") == open_run(opened).directory == copy
     assert api.resume("wheeled").directory == copy
     assert files(TRAINED / "wheeled") == installed
+
+
+def test_a_relative_path_of_the_installed_directory_is_not_written_to() -> None:
+    assert working_copy(os.path.relpath(TRAINED / "wheeled")) == Path("maesn-wheeled")
+
+
+def test_all_commands_use_the_copy_once_there_is_one() -> None:
+    copy = working_copy("wheeled")
+    assert find_run("wheeled") == Run.open("wheeled").directory == copy
 
 
 def test_a_directory_of_that_name_wins() -> None:

@@ -134,3 +134,15 @@ def test_tasks_of_several_arrays_need_one_row_each(tmp_path: Path) -> None:
     write_goals(file, goal=goals(3), mass=np.arange(3.0))
     with pytest.raises(RunError, match="`mass`"):
         load_tasks(file, two)
+    unnamed = two._replace(task_names=("goal",))
+    with pytest.raises(RunError, match="they are 2, and the names goal"):
+        load_tasks(file, unnamed)
+
+
+def test_tasks_may_be_truths(tmp_path: Path) -> None:
+    sides = POINT._replace(
+        draw_tasks=lambda stream, size: np.zeros(size, bool), task_names=("left",)
+    )
+    file = write_goals(tmp_path / "sides.npz", left=np.array([True, False]))
+    found = load_tasks(file, sides).tasks
+    assert (found.tolist(), found.dtype) == ([True, False], bool)

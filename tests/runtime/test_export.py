@@ -80,6 +80,20 @@ def test_controls_may_be_shifted_reversed_and_unlimited() -> None:
     assert found.upper.tolist() == [2.0, np.inf]
 
 
+class Pushing(Point):
+    """A point whose first control is at a limit at 0, the second far beyond one."""
+
+    def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
+        return jnp.clip(action + jnp.asarray([0.0, 2.0]), jnp.asarray([0.0, -1.0]), 1.0)
+
+
+def test_controls_may_be_at_a_limit_in_the_middle() -> None:
+    found = probe_actuators(Pushing())
+    np.testing.assert_allclose(found.offset, [0.0, 2.0], atol=1e-6)
+    np.testing.assert_allclose(found.scale, [1.0, 1.0], rtol=1e-6)
+    assert (found.lower.tolist(), found.upper.tolist()) == ([0.0, -1.0], [1.0, 1.0])
+
+
 class Swapped(Point):
     """A point whose second control belongs to its first action."""
 

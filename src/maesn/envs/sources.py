@@ -70,6 +70,11 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     if not set(names) <= set(held):
         raise RunError(f"`{path}` must hold {wanted}; it holds {', '.join(held) or 'none'}.")
     drawn, structure = jax.tree.flatten(family.draw_tasks(np.random.default_rng(0), 1))
+    if len(names) != len(drawn):
+        raise RunError(
+            f"`task_names` of the family `{family.name}` must name each array of its tasks: they "
+            f"are {len(drawn)}, and the names {', '.join(names)}."
+        )
     tasks = [
         _fitted(held[name], np.asarray(like), f"array `{name}` of `{path}`")
         for name, like in zip(names, drawn, strict=True)
@@ -97,7 +102,7 @@ def _fitted(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
     if array.ndim != like.ndim or array.shape[1:] != like.shape[1:]:
         wanted = ", ".join(["tasks", *map(str, like.shape[1:])])
         raise RunError(f"{what} must have the shape [{wanted}], got {list(array.shape)}.")
-    if array.dtype.kind not in "fiu" or not np.can_cast(array.dtype, like.dtype, "same_kind"):
+    if array.dtype.kind not in "bfiu" or not np.can_cast(array.dtype, like.dtype, "same_kind"):
         raise RunError(f"{what} must hold numbers of type {like.dtype}, got {array.dtype}.")
     with np.errstate(over="ignore"):  # what overflows is refused in the next line
         fitted = array.astype(like.dtype)

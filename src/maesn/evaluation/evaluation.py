@@ -70,6 +70,8 @@ class Evaluation:
 
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
+        if not isinstance(self.rule, AbstractRule | None):
+            raise ValueError(f"`rule` must be one, as `maesn.SearchRule()`, got {self.rule!r}.")
         check_protocol(self.protocol, self)
         check_numbers(
             self,

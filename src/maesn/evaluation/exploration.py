@@ -128,11 +128,11 @@ def record_explorer(run: Run) -> None:
         has_prior = prior_file(run, world.env).exists()
     arrays = {"latents": latents, "paths": np.concatenate(paths)}
     write_arrays(run.directory / LATENT_PATHS, arrays)
+    (run.directory / SEARCHES).unlink(missing_ok=True)  # may be of another prior
     if has_prior:
         try:
             write_arrays(run.directory / SEARCHES, _searches(run))
         except RunError as error:  # the prior may be that of earlier weights
-            (run.directory / SEARCHES).unlink(missing_ok=True)
             logger.warning("no search is shown: %s", error)
 
 
@@ -187,14 +187,16 @@ def _searches(run: Run) -> dict[str, Any]:
     Beliefs are about the part of the return that depends on the latent. They cover a square of the
     first two components, from -edge to edge; the others are those of the deployed latent.
     """
-    with new_tasks(run, Evaluation(rule=SearchRule(), num_tasks=_TASKS)) as (world, learner):
-        collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), _TASKS)
-        states, played = _play_on(learner, collect, keys, jnp.arange(_TASKS), _EPISODES)
+    asked = Evaluation(rule=SearchRule(), num_tasks=_TASKS)
+    with new_tasks(run, asked) as (world, learner):
+        tasks = np.arange(asked.count(world.tasks))
+        collect, keys = Collector(world, 1), jax.random.split(jax.random.key(0), len(tasks))
+        states, played = _play_on(learner, collect, keys, jnp.asarray(tasks), _EPISODES)
     episodes = jax.tree.map(lambda *batches: jnp.concatenate(batches, axis=1), *played)
     searches = list(zip(*(state.searches for state in states), strict=True))  # [task][episode]
     beliefs = np.array([[_beliefs(one) for one in task] for task in searches])
     return {
-        "task": np.arange(_TASKS),
+        "task": tasks,
         "edge": _EDGE,
         "played": episodes.z,
         "returns": episodes.undiscounted_return,

@@ -84,7 +84,10 @@ def export_run(
             radius = env.sparse_radius  # 0 where it is not known, as in environments of others
             about["reward"] = "sparse" + (f", within {radius:g} of the goal" if radius else "")
     elif not isinstance(rule, GradientRule | None):
-        raise RunError("`rule` must be `gradient`, or `search` without `latents` and `task`.")
+        raise RunError(
+            "`rule` must be `gradient`, or `search` without `latents` and `task`; in Python "
+            f"`maesn.GradientRule()` or `maesn.SearchRule()`. It is {rule!r}."
+        )
     try:
         learner = run.learner.fast_learner(checkpoint.state)
         if isinstance(rule, GradientRule):

@@ -98,7 +98,7 @@ def render(
             # Raises where pictures cannot be drawn, before minutes are spent on playing.
             Scene(env, View((-1.0, -1.0), (1.0, 1.0)), 1, 1).close()
         played = record_adaptation(learner, world, asked, task, after, shown)
-        goal = world.tasks[task]
+        goal, trial = world.tasks[task], learner.capabilities.trial_episodes
     if not draws_itself:
         played = draw(env, goal, played, stride)
     name = f"{adaptation_file(run.directory, asked).stem}-task-{task}"
@@ -106,7 +106,8 @@ def render(
     period = np.clip(round(1000 * stride * env.control_period), _QUICKEST, _SLOWEST)
     folder = run.directory / "render" if out is None else Path(out)
     paths = [folder / f"{name}.gif", folder / f"{name}.png"]
-    for path, content in zip(paths, compose(title, played, int(period)), strict=True):
+    named = with_names(played, each, trial is not None)
+    for path, content in zip(paths, compose(title, named, int(period)), strict=True):
         write_whole(path, content)
     return paths
 
@@ -174,27 +175,48 @@ def draw(
         return {before: [*map(with_pictures, episodes)] for before, episodes in played.items()}
 
 
+def with_names(
+    played: Mapping[int, Sequence[Filmed]], each: int, are_trials: bool
+) -> dict[str, list[tuple[str, Filmed]]]:
+    """Return a title for each number of episodes, and its episodes with their names.
+
+    Of `each` episodes at a time; of a learner of trials, these are one episode of as many trials.
+    """
+    found = {}
+    for before, episodes in played.items():
+        known = before // each if are_trials else before
+        when = f"after learning from {count_of(known)}" if before else "before adaptation"
+        names = (
+            f"trial {k % each + 1}, episode {known + k // each + 1}"
+            if are_trials
+            else f"episode {before + k + 1}"
+            for k in range(len(episodes))
+        )
+        found[when] = [*zip(names, episodes, strict=True)]
+    return found
+
+
 @style.publication_style()
 def compose(
-    title: str, played: Mapping[int, Sequence[Filmed]], milliseconds: int
+    title: str, named: Mapping[str, Sequence[tuple[str, Filmed]]], milliseconds: int
 ) -> tuple[bytes, bytes]:
     """Return a GIF in which all episodes move at once, and a PNG of their last pictures.
 
-    The film begins with these, because they stand where a film is not played.
+    The film begins with these, because they stand where a film is not played. `named` is what
+    `with_names` returns.
     """
-    columns = max(map(len, played.values()))
-    figure = style.new_figure(columns * _PANEL[0], len(played) * _PANEL[1])
+    columns = max(map(len, named.values()))
+    figure = style.new_figure(columns * _PANEL[0], len(named) * _PANEL[1])
     figure.suptitle(title, x=0.01, ha="left", fontsize=_TEXT)
-    panels = figure.subplots(len(played), columns, squeeze=False)
+    panels = figure.subplots(len(named), columns, squeeze=False)
     images = []
-    for row, (before, episodes) in zip(panels, played.items(), strict=True):
-        when = f"after learning from {count_of(before)}" if before else "before adaptation"
+    for row, (when, episodes) in zip(panels, named.items(), strict=True):
         row[0].set_title(when, loc="left", fontsize=_TEXT)
-        for number, (axes, episode) in enumerate(zip(row, episodes, strict=True), before + 1):
+        for axes, (name, episode) in zip(row, episodes, strict=True):
             images.append((axes.imshow(episode.pictures[-1]), episode.pictures))
             reached = ", goal reached" if episode.solved else ""
             colour = style.BLUISH_GREEN if episode.solved else style.DARK_GREY
-            caption = f"episode {number}: return {episode.total_return:.1f}{reached}"
+            caption = f"{name}: return {episode.total_return:.1f}{reached}"
             axes.set(xticks=[], yticks=[])
             axes.set_xlabel(caption, color=colour, fontsize=_TEXT)
             axes.spines[:].set(visible=episode.solved, color=colour, linewidth=5)

@@ -84,5 +84,5 @@ def check_protocol(protocol: str | None, settings: Any) -> None:
         if name not in PROTOCOLS[str(protocol)].free and found != value:
             raise ValueError(
                 f"`{name}` is {value} by the protocol `{protocol}`, got {found}: leave out one of "
-                "the two."
+                f"the two. In Python, `maesn.Evaluation().changed(protocol={protocol!r})` sets all."
             )

@@ -46,9 +46,13 @@ def open_run(run: AnyRun, family: AnyFamily = None, method: AnyMethod = None) ->
 
 @contextmanager
 def new_tasks(
-    run: Run, evaluation: Evaluation
+    run: Run, evaluation: Evaluation, state: Any = None
 ) -> Iterator[tuple[AbstractWorld, AbstractFastLearner[Any]]]:
-    """Open the world that a run is evaluated in, and say what learns there."""
+    """Open the world that a run is evaluated in, and say what learns there.
+
+    `state` is one of the run's; None: the latest.
+    """
+    state = run.latest_state() if state is None else state
     world = run.world(
         run.task_set(evaluation.tasks),
         evaluation.reward,
@@ -56,7 +60,6 @@ def new_tasks(
         num_threads=evaluation.num_threads,
     )
     with closing(world):
-        state = run.latest_state()
         check_policy(run.learner.player(state), world.env)
         of_run = partial(find_prior, run, state, world.env, evaluation.action_noise)
         trained = Trained(run.learner, state, of_run, evaluation.budget.per_update)
@@ -71,13 +74,14 @@ def evaluate(
     `tasks` are indices of some of them; None for all that `evaluation` says.
     """
     budget, known = evaluation.budget, {}
-    with new_tasks(run, evaluation) as (world, learner):
+    state = run.latest_state()  # once: the run may be training
+    with new_tasks(run, evaluation, state) as (world, learner):
         outcome = adapt(learner, Collector(world, budget.per_update), evaluation, tasks=tasks)
     if evaluation.tasks != "training" and world.tasks.digest() == run.config.task_digest:
         known = {"trained_on": True}
     return outcome, {
         **known,
-        **run.identity(),
+        **run.identity(state),
         **evaluation.protocol_record,
         "rule": evaluation.rule_text,
         "label": evaluation.label,

@@ -39,13 +39,13 @@ class NotNamedError(RunError):
     """A run needs modules of the user's own, and reading it never imports one.
 
     Attributes:
-        options: what names them on a command line, with a space before.
+        named: `method` or `family` -> the module and what is in it.
     """
 
     def __init__(self, directory: Path, settings: Mapping[str, Any], **found: str) -> None:
         recorded = {option: str(settings.get(option)) for option in ("method", "family")}
         own = found | {option: name for option, name in recorded.items() if is_own(name)}
-        self.options = "".join(f" --{option} {name}" for option, name in own.items())
+        self.named = own
         python = ", ".join(f"{option}={name!r}" for option, name in own.items())
         super().__init__(
             f"`{directory}` needs a module of your own, and reading a run never imports one that "

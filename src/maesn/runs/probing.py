@@ -40,12 +40,14 @@ def probe_actuators(env: AnyEnv) -> Actuators:
         return float64(_controls(env, np.full((1, env.action_size), action, np.float32)))[0]
 
     lower, upper = _limits(control)
-    offset = control(0.0)
+    free = _uncut(control, lower, upper)
+    value = control(free)
     # The longest step that no limit cuts has the least rounding. A step of half the room is safe.
-    rough = np.abs(control(_PROBE_STEP) - control(-_PROBE_STEP)) / (2 * _PROBE_STEP)
-    room = np.minimum(upper - offset, offset - lower) / (2 * np.maximum(rough, _PROBE_STEP))
+    rough = np.abs(control(free + _PROBE_STEP) - control(free - _PROBE_STEP)) / (2 * _PROBE_STEP)
+    room = np.minimum(upper - value, value - lower) / (2 * np.maximum(rough, _PROBE_STEP))
     step = 2.0 ** np.floor(np.log2(np.clip(room, _PROBE_STEP, 1.0)))
-    scale = (control(step) - control(-step)) / (2 * step)
+    scale = (control(free + step) - control(free - step)) / (2 * step)
+    offset = value - scale * free
     own = Actuators(offset, scale, lower, upper, ("",) * env.action_size)
     actions = _probes(env.action_size)
     wanted = float64(_controls(env, actions.astype(np.float32)))
@@ -60,6 +62,17 @@ def probe_actuators(env: AnyEnv) -> Actuators:
         return own
     names, lower, upper = model_actuators(env.model)
     return replace(own, names=names).narrowed(lower, upper)
+
+
+def _uncut(
+    control: Callable[[float | np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Return for each actuator an action whose control no limit cuts: 0 where that is one."""
+    sizes = 2.0 ** np.arange(-10, 11)
+    actions = np.concatenate([[0.0], sizes, -sizes])
+    controls = np.stack([control(action) for action in actions])
+    room = np.minimum(controls - lower, upper - controls)
+    return np.where(room[0] > 0, 0.0, actions[room.argmax(axis=0)])
 
 
 def probe_sensors(env: AnyEnv, task: Any) -> Sensors:

@@ -193,10 +193,10 @@ class Run:
         with refusals():
             return eqx.filter_eval_shape(drawn_state, *self._drawn_from(more_tasks))
 
-    def identity(self) -> dict[str, str]:
-        """Return which learner the latest checkpoint is of, and a digest of its weights."""
+    def identity(self, state: Any = None) -> dict[str, str]:
+        """Return which learner a state is of, and a digest of its weights; None: the latest."""
         learner = f"{self.settings.method} {digest_of_document(to_json(self.learner))}"
-        weights = self.learner.weights(self.latest_state())
+        weights = self.learner.weights(self.latest_state() if state is None else state)
         return {"learner": learner, "weights": checkpoint.digest_of_arrays(weights)}
 
     def metrics(self) -> list[dict[str, Any]]:

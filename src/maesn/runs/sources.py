@@ -68,15 +68,22 @@ def policy_names() -> list[str]:
 
 
 def find_run(run: str | Path) -> Path:
-    """Return the directory of a run, or of the policy of this name if there is no such path."""
+    """Return the directory of a run, or of the policy of this name if there is no such path.
+
+    Of a policy it is the copy in the current folder, once `working_copy` has made that.
+    """
     if Path(run).exists():
         return Path(run)
     if str(run) in policy_names():
-        return TRAINED / run
+        return copy if (copy := _copy_of(TRAINED / run)).exists() else TRAINED / run
     raise RunError(
         f"there is no run in `{run}`: name a directory that `maesn train` has made, or a policy "
         f"that comes with the library: {', '.join(policy_names())}."
     )
+
+
+def _copy_of(policy: Path) -> Path:
+    return Path(f"maesn-{policy.name}")
 
 
 def working_copy(run: str | Path) -> Path:
@@ -86,9 +93,9 @@ def working_copy(run: str | Path) -> Path:
     folder, made when it is first asked for.
     """
     source = find_run(run)
-    if source.parent != TRAINED:
+    if source.resolve().parent != TRAINED.resolve():
         return source
-    copy = Path(f"maesn-{source.name}")
+    copy = _copy_of(source)
     if not copy.exists():
         partial = Path(f"{copy}.{os.getpid()}{PARTIAL}")
         with explained("make", copy):

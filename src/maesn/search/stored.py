@@ -141,9 +141,12 @@ def find_prior(
     for what, wanted in bound_to(run, state, env, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             allow = ", or allow it by `any_reward=true`" if what == "reward" else ""
+            remedy = f"make it again by `{_command(run, env, action_noise)}`"
+            if name:
+                remedy = "leave out `prior`, for the run's own"
             raise RunError(
-                f"`{path}` was made for another {what} than `{run.directory}` has here: make it "
-                f"again by `{_command(run, env, action_noise)}`{allow}."
+                f"`{path}` was made for another {what} than `{run.directory}` has here: "
+                f"{remedy}{allow}."
             )
     return prior
 

@@ -58,6 +58,8 @@ def compare(
         FailedJobsError: some jobs failed; all others are done.
         RunError: a setting, a run or a directory cannot be used.
     """
+    if isinstance(runs, str | Path | Run):
+        runs = [runs]
     if not (runs or scratch):
         raise RunError("name at least one run directory, or a method with --scratch.")
     opened = {run.directory: run for run in [Run.open(one, family, method) for one in runs]}

@@ -15,6 +15,7 @@ from maesn.envs.base import AnyEnv
 from maesn.envs.tasks import TaskSet
 from maesn.foreign import WorkerError
 from maesn.physics import PhysicsError
+from maesn.storage import RunError
 from maesn.worlds.base import (
     AbstractWorld,
     Act,
@@ -64,7 +65,11 @@ class HostWorld(AbstractWorld):
             raise
 
     def film(self, shown: int, stride: int, size: tuple[int, int]) -> bool:
-        renderer = self.stepper.renderer(self.tasks[0])
+        try:
+            renderer = self.stepper.renderer(self.tasks[0])
+        except WorkerError as failure:
+            self.close()
+            raise RunError(f"`{self.env.name}` cannot be filmed: {failure.reason}") from failure
         self._camera = _Camera(renderer, shown, stride, size) if renderer else None
         return self._camera is not None
 
