@@ -110,6 +110,7 @@ import maesn, os, sys
 os.chdir(sys.argv[1])
 for call in (
     lambda: maesn.adapt("wheeled", rule="search"),
+    lambda: maesn.adapt("wheeled", wrappers="vime"),
     lambda: maesn.export("wheeled", "policy.npz", rule="search"),
     lambda: maesn.report("nowhere"),
     lambda: maesn.compare("nowhere"),
@@ -125,8 +126,9 @@ def test_what_is_no_rule_or_no_list_is_told_in_a_sentence(tmp_path: Path) -> Non
     """In a process of its own: here, annotations are enforced."""
     words = [sys.executable, "-c", _OF_ANOTHER_TYPE, str(tmp_path)]
     said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    adapted, exported, *others = said.splitlines()
-    assert adapted == "`rule` must be one, as `maesn.SearchRule()`, got 'search'."
+    adapted, wrapped, exported, *others = said.splitlines()
+    assert adapted == "`rule` must be a rule, such as `maesn.SearchRule()`, got 'search'."
+    assert wrapped.startswith("`wrappers` must be a tuple of wrappers, such as")
     assert exported.endswith("`maesn.GradientRule()` or `maesn.SearchRule()`. It is 'search'.")
     assert [one.partition(":")[0] for one in others] == ["there is no run in `nowhere`"] * 2
 

@@ -122,8 +122,9 @@ def _commands(error: Exception, arguments: list[str]) -> list[str]:
 
     if not isinstance(error, NotNamedError):
         return []
-    missing = {name: own for name, own in error.named.items() if f"--{name}" not in arguments}
-    if not missing:
+    given = {argument.partition("=")[0] for argument in arguments}
+    missing = {name: own for name, own in error.named.items() if f"--{name}" not in given}
+    if not missing or "method" in error.named.keys() - missing.keys():
         return ["One option names one module: give one that imports what all the runs need."]
     options = (f" --{name} {own}" for name, own in missing.items())
     return [f"Type: maesn {shlex.join(arguments)}{''.join(options)}"]

@@ -13,6 +13,8 @@ from small_runs import create, tiny_maesn
 
 from maesn import maml, varibad
 from maesn.evaluation import exploration
+from maesn.evaluation.evaluation import Evaluation
+from maesn.evaluation.running import evaluate
 from maesn.learners.varibad.decoder import BeliefDecoderSettings
 from maesn.policies import CategoricalMLP, GaussianMLP
 from maesn.reporting.runs import (
@@ -87,6 +89,25 @@ def test_searches_are_those_of_the_rule(run: Run) -> None:
     more = first.posterior.extended(corner)
     np.testing.assert_allclose(recorded["mean"][:, 0, 0, 0], more.mean[-1], rtol=1e-5)
     assert set(np.unique(recorded["reached"])) <= {0.0, 1.0}
+
+
+def test_a_search_of_an_earlier_prior_is_not_shown(tmp_path: Path) -> None:
+    made = create(tmp_path / "run", tiny_maesn())
+    (made.directory / SEARCHES).parent.mkdir()
+    (made.directory / SEARCHES).touch()
+    exploration.record_explorer(made)
+    assert not (made.directory / SEARCHES).exists()
+
+
+def test_a_record_is_of_the_weights_that_played(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meanwhile a training may have gone on."""
+    played = run.latest_state()
+    later = jax.tree.map(lambda x: x + 1, played)
+    states = iter([played, later, later])
+    monkeypatch.setattr(Run, "latest_state", lambda self: next(states))
+    asked = Evaluation(num_tasks=2, episodes=3, episodes_per_update=3)
+    assert evaluate(run, asked)[1]["weights"] == run.identity(played)["weights"]
+    assert run.identity(played) != run.identity(later)
 
 
 def test_a_family_may_have_fewer_tasks_than_searches_are_shown_of(

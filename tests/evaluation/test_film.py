@@ -186,7 +186,7 @@ def test_episodes_have_the_names_that_tables_count_by() -> None:
     trials = film.with_names(played, 2, are_trials=True)
     assert [*trials] == ["before adaptation", "after learning from 2 episodes"]
     names = [name for name, _ in [*trials.values()][1]]
-    assert names == ["trial 1, episode 3", "trial 2, episode 3", "trial 1, episode 4"]
+    assert names == ["trial 1,\nepisode 3", "trial 2,\nepisode 3", "trial 1,\nepisode 4"]
 
 
 @pytest.fixture

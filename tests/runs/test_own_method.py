@@ -67,11 +67,14 @@ def test_reading_a_run_imports_nothing_and_says_what_to_type(
     assert Run.open(unnamed).latest().iteration == 4
 
 
-def test_only_what_is_missing_is_printed(unnamed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["resume", str(unnamed), "--family", "mine:family"]
-    assert cli._commands(
-        NotNamedError(unnamed, {"method": "walk:Walk", "family": "mine:family"}), words
-    ) == [f"Type: maesn {' '.join(words)} --method walk:Walk"]
+def test_only_what_is_missing_is_printed(unnamed: Path) -> None:
+    error = NotNamedError(unnamed, {"method": "walk:Walk", "family": "mine:family"})
+    words = ["resume", str(unnamed), "--family=mine:family"]
+    typed = f"Type: maesn resume {unnamed} --family=mine:family --method walk:Walk"
+    assert cli._commands(error, words) == [typed]
+    # It was given, and is another one.
+    (said,) = cli._commands(error, ["resume", str(unnamed), "--method", "walk:Stride"])
+    assert not said.startswith("Type:")
 
 
 def test_no_command_is_printed_that_would_not_work(

@@ -135,7 +135,7 @@ def test_tasks_of_several_arrays_need_one_row_each(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="`mass`"):
         load_tasks(file, two)
     unnamed = two._replace(task_names=("goal",))
-    with pytest.raises(RunError, match="they are 2, and the names goal"):
+    with pytest.raises(RunError, match="they are 2 arrays, but the names are goal"):
         load_tasks(file, unnamed)
 
 

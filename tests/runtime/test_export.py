@@ -81,17 +81,37 @@ def test_controls_may_be_shifted_reversed_and_unlimited() -> None:
 
 
 class Pushing(Point):
-    """A point whose first control is at a limit at 0, the second far beyond one."""
+    """A point whose controls are at a limit at 0, or far beyond one."""
+
+    offset: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    lower: tuple[float, float] = (-1.0, -1.0)
+    upper: tuple[float, float] = (1.0, 1.0)
 
     def control(self, action: Float[Array, " action"]) -> Float[Array, " 2"]:
-        return jnp.clip(action + jnp.asarray([0.0, 2.0]), jnp.asarray([0.0, -1.0]), 1.0)
+        asked = jnp.asarray(self.offset) + jnp.asarray(self.scale) * action
+        return jnp.clip(asked, jnp.asarray(self.lower), jnp.asarray(self.upper))
 
 
-def test_controls_may_be_at_a_limit_in_the_middle() -> None:
-    found = probe_actuators(Pushing())
-    np.testing.assert_allclose(found.offset, [0.0, 2.0], atol=1e-6)
-    np.testing.assert_allclose(found.scale, [1.0, 1.0], rtol=1e-6)
-    assert (found.lower.tolist(), found.upper.tolist()) == ([0.0, -1.0], [1.0, 1.0])
+@pytest.mark.parametrize(
+    "form",
+    [
+        {"offset": (0, 2), "scale": (1, 1), "lower": (0, -1), "upper": (1, 1)},
+        {"offset": (0, -1.3), "scale": (0.1, 0.3), "lower": (0, 0), "upper": (np.inf, np.inf)},
+        {"offset": (0, 0), "scale": (-0.7, 0.37), "lower": (-np.inf, 0), "upper": (0, 100)},
+        {"offset": (7, 30), "scale": (3, -10), "lower": (-1, -1), "upper": (1, 1)},
+        {"offset": (5, 0), "scale": (0.1, 40), "lower": (-2, 0), "upper": (2, 0.2)},
+    ],
+)
+def test_controls_may_be_at_a_limit_in_the_middle(form: dict[str, tuple[float, float]]) -> None:
+    wanted = {name: tuple(map(float, values)) for name, values in form.items()}
+    found = probe_actuators(Pushing(**wanted))
+    np.testing.assert_allclose(found.offset, wanted["offset"], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found.scale, wanted["scale"], rtol=1e-4)
+    assert (found.lower.tolist(), found.upper.tolist()) == (
+        pytest.approx(wanted["lower"]),
+        pytest.approx(wanted["upper"]),
+    )
 
 
 class Swapped(Point):

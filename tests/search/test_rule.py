@@ -198,7 +198,7 @@ def test_a_prior_for_another_radius_is_used_when_that_is_asked_for(
     assert cli.run([*rule, f"prior={prior}", *wider]) == 2
     said = capsys.readouterr().err
     assert "was made for another reward" in said
-    assert f"`maesn prior {trained} --sparse-radius 0.9`, or allow it by `any_reward=true`" in said
+    assert "leave out `prior`, for the run's own, or allow it by `any_reward=true`" in said
     assert cli.run([*rule, f"prior={prior}", "any_reward=true", *wider]) == 0
 
 

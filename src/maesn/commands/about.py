@@ -47,7 +47,7 @@ def doctor() -> None:
     if cache:
         check_writable(Path(cache) / "probe")
     asked = Evaluation(num_tasks=2, episodes=20, episodes_per_update=10)
-    outcome, _ = evaluate(Run.open("wheeled"), asked)
+    outcome, _ = evaluate(Run.open(TRAINED / "wheeled"), asked)
     if not np.isfinite(outcome.curves.mean_return).all():
         raise RunError("the self test failed: returns of `wheeled` are not finite numbers.")
     print(f"{'self test':12s} `wheeled` drove in two tasks; all is well")

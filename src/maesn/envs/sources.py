@@ -73,7 +73,7 @@ def load_tasks(path: str | Path, family: TaskFamily) -> TaskSet:
     if len(names) != len(drawn):
         raise RunError(
             f"`task_names` of the family `{family.name}` must name each array of its tasks: they "
-            f"are {len(drawn)}, and the names {', '.join(names)}."
+            f"are {len(drawn)} arrays, but the names are {', '.join(names)}."
         )
     tasks = [
         _fitted(held[name], np.asarray(like), f"array `{name}` of `{path}`")

@@ -71,7 +71,17 @@ class Evaluation:
     def __post_init__(self) -> None:
         check_choice("reward", self.reward, RewardKind)
         if not isinstance(self.rule, AbstractRule | None):
-            raise ValueError(f"`rule` must be one, as `maesn.SearchRule()`, got {self.rule!r}.")
+            raise ValueError(
+                f"`rule` must be a rule, such as `maesn.SearchRule()`, got {self.rule!r}."
+            )
+        wrappers: Any = self.wrappers
+        if not (
+            isinstance(wrappers, tuple) and all(isinstance(x, AbstractWrapper) for x in wrappers)
+        ):
+            raise ValueError(
+                f"`wrappers` must be a tuple of wrappers, such as `(maesn.VimeBonus(),)`, got "
+                f"{wrappers!r}."
+            )
         check_protocol(self.protocol, self)
         check_numbers(
             self,

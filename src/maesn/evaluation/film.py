@@ -187,7 +187,7 @@ def with_names(
         known = before // each if are_trials else before
         when = f"after learning from {count_of(known)}" if before else "before adaptation"
         names = (
-            f"trial {k % each + 1}, episode {known + k // each + 1}"
+            f"trial {k % each + 1},\nepisode {known + k // each + 1}"
             if are_trials
             else f"episode {before + k + 1}"
             for k in range(len(episodes))

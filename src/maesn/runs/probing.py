@@ -45,8 +45,11 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     # The longest step that no limit cuts has the least rounding. A step of half the room is safe.
     rough = np.abs(control(free + _PROBE_STEP) - control(free - _PROBE_STEP)) / (2 * _PROBE_STEP)
     room = np.minimum(upper - value, value - lower) / (2 * np.maximum(rough, _PROBE_STEP))
-    step = 2.0 ** np.floor(np.log2(np.clip(room, _PROBE_STEP, 1.0)))
-    scale = (control(free + step) - control(free - step)) / (2 * step)
+    shortest = np.maximum(_PROBE_STEP, np.abs(free) * 2.0**-20)  # what single precision can tell
+    longest = np.maximum(1.0, np.abs(free) / 2)
+    step = 2.0 ** np.floor(np.log2(np.clip(room, shortest, longest)))
+    after, before = (float64(np.float32(free + sign * step)) for sign in (1.0, -1.0))
+    scale = (control(after) - control(before)) / (after - before)
     offset = value - scale * free
     own = Actuators(offset, scale, lower, upper, ("",) * env.action_size)
     actions = _probes(env.action_size)
@@ -67,12 +70,24 @@ def probe_actuators(env: AnyEnv) -> Actuators:
 def _uncut(
     control: Callable[[float | np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Return for each actuator an action whose control no limit cuts: 0 where that is one."""
-    sizes = 2.0 ** np.arange(-10, 11)
-    actions = np.concatenate([[0.0], sizes, -sizes])
-    controls = np.stack([control(action) for action in actions])
-    room = np.minimum(controls - lower, upper - controls)
-    return np.where(room[0] > 0, 0.0, actions[room.argmax(axis=0)])
+    """Return for each actuator an action whose control no limit cuts: 0 where that is one.
+
+    Elsewhere it is found by bisection: it leads halfway between the limits, or 1 from a single one.
+    """
+    resting = control(0.0)
+    inner = np.where(np.isfinite(lower), lower + 1.0, upper - 1.0)
+    with np.errstate(invalid="ignore"):  # of two infinite limits
+        middle = (lower + upper) / 2
+    wanted = np.where(np.isfinite(middle), middle, inner)
+    rises = control(_FAR) >= control(-_FAR)
+    ends = np.full_like(resting, -_FAR), np.full_like(resting, _FAR)
+    for _ in range(64):
+        half = (ends[0] + ends[1]) / 2
+        is_before = (control(half) < wanted) == rises
+        ends = np.where(is_before, half, ends[0]), np.where(is_before, ends[1], half)
+    found = float64(np.float32(ends[0]))
+    is_uncut = (resting > lower) & (resting < upper) | (lower == upper)
+    return np.where(is_uncut, 0.0, found)
 
 
 def probe_sensors(env: AnyEnv, task: Any) -> Sensors:

@@ -146,7 +146,7 @@ class Run:
         directory = sources.find_run(source)
         config = read_config(directory)
         if family is None and config.settings.own_family:
-            raise NotNamedError(directory, vars(config.settings))
+            raise NotNamedError(directory, {"family": config.settings.own_family})
         found = sources.recorded_family(config.family, family)
         tasks = sources.recorded_tasks(directory, config.settings.tasks, config.task_digest, found)
         settings = config.settings

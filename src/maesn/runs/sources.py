@@ -75,7 +75,8 @@ def find_run(run: str | Path) -> Path:
     if Path(run).exists():
         return Path(run)
     if str(run) in policy_names():
-        return copy if (copy := _copy_of(TRAINED / run)).exists() else TRAINED / run
+        copy = _copy_of(TRAINED / run)
+        return copy if (copy / "config.json").exists() else TRAINED / run
     raise RunError(
         f"there is no run in `{run}`: name a directory that `maesn train` has made, or a policy "
         f"that comes with the library: {', '.join(policy_names())}."

@@ -53,9 +53,10 @@ def run_prior(
     reward: RewardKind = "sparse",
     sparse_radius: float | None = None,
     progress: Progress = lambda played, of: None,
+    state: Any = None,
     directory: Path | None = None,
 ) -> tuple[Path, ReturnPrior]:
-    """Make the prior over returns of a run's latest checkpoint, save it, and return both.
+    """Make the prior over returns of a run, save it, and return both.
 
     Args:
         run: a run of a method with a latent.
@@ -63,6 +64,7 @@ def run_prior(
         reward: reward of the new tasks.
         sparse_radius: sparse radius of the new tasks, in metres; None for the run's own.
         progress: called as `make_prior` says.
+        state: one of the run's; None: the latest.
         directory: of the run that gets the file; None for the run itself, or a copy of a policy
             that comes with the library.
 
@@ -70,7 +72,7 @@ def run_prior(
         RunError: the run has no latent, or something cannot be written.
         EpisodeError: an episode went wrong.
     """
-    state = run.latest_state()
+    state = run.latest_state() if state is None else state
     with refusals(f"`{run.settings.method}` cannot search: "):
         latent = latent_of(run.learner.fast_learner(state))
         if len(run.training_tasks) < 2:
@@ -113,7 +115,7 @@ def find_prior(
 
     Args:
         run: the run that the prior belongs to.
-        state: the run's latest state.
+        state: one of the run's, which searches.
         env: of the new tasks; only its reward matters.
         action_noise: whether the archive was played with the noise of training.
         name: path of a prior; empty for the run's own.
@@ -133,17 +135,15 @@ def find_prior(
         )
         with played_live() as progress:
             radius = env.sparse_radius or None
-            _, prior = run_prior(
-                run, settings, reward=env.reward_kind, sparse_radius=radius, progress=progress
-            )
+            asked = {"reward": env.reward_kind, "sparse_radius": radius, "state": state}
+            _, prior = run_prior(run, settings, progress=progress, **asked)
         return prior
     prior, metadata = read_prior(path)
     for what, wanted in bound_to(run, state, env, action_noise).items():
         if metadata.get(what) != wanted and not (any_reward and what == "reward"):
             allow = ", or allow it by `any_reward=true`" if what == "reward" else ""
-            remedy = f"make it again by `{_command(run, env, action_noise)}`"
-            if name:
-                remedy = "leave out `prior`, for the run's own"
+            again = f"make it again by `{_command(run, env, action_noise)}`"
+            remedy = "leave out `prior`, for the run's own" if name else again
             raise RunError(
                 f"`{path}` was made for another {what} than `{run.directory}` has here: "
                 f"{remedy}{allow}."

@@ -7,7 +7,8 @@ Zintgraf et al. 2021, https://arxiv.org/abs/2010.01062, section 4. The bonus of 
 with the novelty n = mean_j (f_j - g_j)² of observation and belief after the step, where f is a
 fixed random network and g learns to predict it (random network distillation, Burda et al. 2018,
 https://arxiv.org/abs/1810.12894), and the error e = -log p(r, o' | m), m from the belief after the
-step. Running standard deviations of discounted returns make the weights numbers without a unit.
+step. Standard deviations of discounted returns, over all training so far, make the weights numbers
+without a unit.
 """
 
 from typing import Any
@@ -35,7 +36,8 @@ class BonusState(eqx.Module):
     opt_state: Any
     """State of Adam."""
     moments: Float[Array, "3 3"]
-    """Running moments of the discounted returns of reward, novelty and error."""
+    """Sums over the iterations so far: 1, mean and mean square of the discounted returns of reward,
+    novelty and error."""
 
 
 class HyperBonus(eqx.Module):

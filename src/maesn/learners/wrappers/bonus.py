@@ -54,8 +54,8 @@ class BonusFastLearner(AbstractFastLearner[BonusFastState]):
         can = self.learner.capabilities
         if not can.learns_from_reward:
             raise ValueError(
-                f"`learner` must learn from rewards, which {type(self.learner).__name__} does not: "
-                "a bonus would change nothing."
+                f"`learner` must learn from the sum of reward and bonus, which "
+                f"{type(self.learner).__name__} does not read: a bonus would change nothing."
             )
         if can.has_bonus:
             raise ValueError("`learner` must not have a bonus already: it would be added twice.")

@@ -164,7 +164,7 @@ class CuriosityBonus(eqx.Module):
         pool_key, noise_key = jax.random.split(key)
         played = transitions(episodes)
         drawn = jax.random.permutation(pool_key, len(played.valid))
-        # In the order drawn, but those that were played first.
+        # In the order drawn, but valid ones before the others.
         chosen = drawn[jnp.argsort(~played.valid[drawn])][: self.pool_additions]
         pool = state.pool.extend(played.rows[chosen], played.valid[chosen])
         state = replace(state, pool=pool)
