@@ -122,7 +122,7 @@ def test_recurrent_policies_are_refused_at_construction() -> None:
         PolicyGradient(2, 2, AnnealedGaussianMLP())
     with pytest.raises(ValueError, match="`policy` must not be recurrent, got Recurrent:"):
         PolicyGradient(2, 2, Recurrent())
-    with pytest.raises(ValueError, match="`learner` must learn from rewards"):
+    with pytest.raises(ValueError, match="`learner` must learn from the sum"):
         BonusFastLearner(recurrent, CuriosityBonus(), 2, 2)
     with pytest.raises(ValueError, match="`observation_size` must be at least 1, got 0: curiosity"):
         SCRATCH["vime"](0, 2).init(keys(1))
