@@ -74,7 +74,7 @@ Returns = Float[np.ndarray, "seed task"]
 
 def collect(studies: Sequence[str], out: Path) -> None:
     """Write the raw results of studies, and what their lines took or would take."""
-    kept = _by_job()
+    kept, guesses = _by_job(), _guesses()
     lines: list[Row] = []
     results: list[Row] = []
     for study in map(Study.load, studies):
@@ -91,7 +91,8 @@ def collect(studies: Sequence[str], out: Path) -> None:
             elif address in kept:
                 found = {**kept[address][0], **row}, kept[address][1]
             else:
-                found = {**row, "hours_left": execution.hours_left(jobs)}, ()
+                hours = max(execution.hours_left(jobs), guesses.get(address, 0.0))
+                found = {**row, "hours_left": hours}, ()
             lines.append(found[0])
             results += found[1]
     anew = {row["family"] for row in lines}
@@ -156,6 +157,15 @@ def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
         for row in seeds
         if not row["hours_left"]
     }
+
+
+def _guesses() -> dict[tuple[str, ...], float]:
+    """Return the hours that seeds in the file still take, by `_address`.
+
+    They may rest on a training that was begun elsewhere, and are then more than where none was.
+    """
+    rows = read_rows(LINES) if LINES.exists() else []
+    return {_address(row): float(row["hours_left"]) for row in rows if row["hours_left"]}
 
 
 def _place(row: Row) -> tuple[str, ...]:

@@ -133,11 +133,15 @@ def test_what_is_done_stays_where_the_studies_directory_lacks_it(
     file = tmp_path / "small.toml"
     file.write_text('family = "point"\nseeds = [0, 1, 2]\n[runs.maesn]\n')
     (line,) = Study.load(file).comparisons[0].lines["lines"]
-    done, changed, _ = ((member.seed, jobs[-1].rpartition("-")[2]) for member, jobs in line.seeds)
+    done, changed, begun = (
+        (member.seed, jobs[-1].rpartition("-")[2]) for member, jobs in line.seeds
+    )
     rows = [
         {"family": "point", "line": "maesn", "seed": seed, "job": job, "steps": 5}
         for seed, job in (done, (changed[0], "of-other-settings"))
     ]
+    rows.append({"family": "point", "line": "maesn", "seed": begun[0], "job": begun[1]})
+    rows[-1]["hours_left"] = "50"
     others = {"family": "of another study", "line": "maesn", "seed": "9", "hours_left": "2"}
     rows.insert(0, others)
     write_rows(field.LINES, [dict.fromkeys(field.LINE, "") | row for row in rows])
@@ -153,7 +157,7 @@ def test_what_is_done_stays_where_the_studies_directory_lacks_it(
     assert {name: first[name] for name in others} == others
     found = {row["seed"]: row for row in others_of_point if row["line"] == "maesn"}
     assert (found["0"]["steps"], found["0"]["hours_left"]) == ("5", "")
-    assert all(float(found[seed]["hours_left"]) > 0 for seed in "12")
+    assert 0 < float(found["1"]["hours_left"]) < 50 == float(found["2"]["hours_left"])
     assert [row["seed"] for row in field.read_rows(field.RESULTS)] == ["0", "9"]
 
 
