@@ -13,6 +13,7 @@ from synthetic_runs import adaptation_table, write_adaptation
 from maesn.reporting import statistics
 from maesn.reporting.sources import MANIFEST
 from maesn.storage import write_json, write_rows
+from maesn.studies.planned import PlannedLine
 from maesn.studies.study import Study
 
 COUNTS = (0, 1, 2, 3, 5, 10, 20)
@@ -70,6 +71,14 @@ def write(field: ModuleType, returns: np.ndarray) -> None:
         "family,name,episodes,return,spread,source\nworld,oracle,0,9.9,,by hand\n"
         "world,others,1,5,,\nworld,others,20,7.8, ±0.6,another budget\nelsewhere,x,0,1,,\n"
     )
+
+
+def planned(folder: Path, seeds: list[int]) -> tuple[Path, PlannedLine]:
+    """The file of a study of one run with these seeds, and its line."""
+    file = folder / "small.toml"
+    file.write_text(f'family = "point"\nseeds = {seeds}\n[runs.maesn]\n')
+    (line,) = Study.load(file).comparisons[0].lines["lines"]
+    return file, line
 
 
 def rows_of(text: str) -> dict[str, dict[str, str]]:
@@ -130,9 +139,7 @@ def test_the_figure_shows_families_in_which_a_search_has_results(field: ModuleTy
 def test_what_is_done_stays_where_the_studies_directory_lacks_it(
     field: ModuleType, tmp_path: Path
 ) -> None:
-    file = tmp_path / "small.toml"
-    file.write_text('family = "point"\nseeds = [0, 1, 2]\n[runs.maesn]\n')
-    (line,) = Study.load(file).comparisons[0].lines["lines"]
+    file, line = planned(tmp_path, [0, 1, 2])
     done, changed, begun = (
         (member.seed, jobs[-1].rpartition("-")[2]) for member, jobs in line.seeds
     )
@@ -164,9 +171,7 @@ def test_what_is_done_stays_where_the_studies_directory_lacks_it(
 def test_a_seed_is_taken_if_the_study_has_it_from_the_same_jobs(
     field: ModuleType, tmp_path: Path
 ) -> None:
-    file = tmp_path / "small.toml"
-    file.write_text('family = "point"\nseeds = [0, 1]\n[runs.maesn]\n')
-    (line,) = Study.load(file).comparisons[0].lines["lines"]
+    file, line = planned(tmp_path, [0, 1])
     seeds = [{"seed": seed, "table": f"{seed}.csv", "training_steps": 7} for seed in (0, 1)]
     world = {"name": "point", "lines": [{"name": "maesn", "seeds": seeds}], "baselines": []}
     files = {"0.csv": line.seeds[0][1], "1.csv": ["of-other-settings"]}

@@ -110,7 +110,7 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
     family = series[0].runs[0].family
     comparisons = []
     for title, lines in found.items():
-        check_tasks(title, lines)
+        _check_tasks(title, lines)
         world = lines[0].table.about.get("world", {})
         horizon = world.get("horizon", 0)
         comparisons.append(Comparison(tuple(lines), title, family, horizon=horizon))
@@ -118,7 +118,7 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
     return Compared(comparisons, figures, {}, series)
 
 
-def check_tasks(title: str, lines: Sequence[Line]) -> None:
+def _check_tasks(title: str, lines: Sequence[Line]) -> None:
     """Refuse tables that are known to be of different tasks, although these have one name."""
     records = (table.with_suffix(reading.RECORD) for line in lines for table in line.files)
     digests = {read_json(path).get("task_digest") for path in records if path.exists()}
