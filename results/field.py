@@ -100,7 +100,9 @@ def collect(studies: Sequence[str], out: Path) -> None:
             elif address in kept:
                 found = {**kept[address][0], **row}, kept[address][1]
             else:
-                hours = max(execution.hours_left(jobs), guesses.get(address, 0.0))
+                hours = execution.hours_left(jobs)
+                if not any((execution.directory / name).exists() for name in jobs):
+                    hours = guesses.get(address, hours)
                 found = {**row, "hours_left": hours}, ()
             lines.append(found[0])
             results += found[1]
@@ -171,7 +173,7 @@ def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
 def _guesses() -> dict[tuple[str, ...], float]:
     """Return the hours that seeds in the file still take, by `_address`.
 
-    They may rest on a training that was begun elsewhere, and are then more than where none was.
+    A training that was begun on another machine tells more than this one knows before its own.
     """
     rows = read_rows(LINES) if LINES.exists() else []
     return {_address(row): float(row["hours_left"]) for row in rows if row["hours_left"]}

@@ -134,6 +134,7 @@ def test_a_meta_iteration_plays_trials_believes_and_improves(
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after, info)))
     assert bool(info.value_accepted)
     assert bool(info.inference_accepted)
+    assert bool(info.bonus_accepted)
     moved = jax.tree.map(lambda x, y: bool((x != y).any()), state.networks, after.networks)
     assert all(jax.tree.leaves(moved))
     assert (float(info.bonus) > 0) == (bonus.novelty_weight + bonus.error_weight > 0)
@@ -154,6 +155,7 @@ def test_a_surprise_beyond_all_bounds_spoils_no_later_bonus() -> None:
     state = eqx.tree_at(lambda one: one.networks.decoder, state, wild)
     after, info = learner.step(jax.random.key(1), state, Watching())
     assert float(info.bonus) == 0.0
+    assert not bool(info.bonus_accepted)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after.bonus))
     assert bool(info.value_accepted)
 

@@ -165,6 +165,11 @@ def test_what_is_done_stays_where_the_studies_directory_lacks_it(
     found = {row["seed"]: row for row in others_of_point if row["line"] == "maesn"}
     assert (found["0"]["steps"], found["0"]["hours_left"]) == ("5", "")
     assert 0 < float(found["1"]["hours_left"]) < 50 == float(found["2"]["hours_left"])
+    training = line.seeds[2][1][0]
+    (tmp_path / "elsewhere" / "jobs" / training).mkdir(parents=True)
+    field.collect([str(file)], tmp_path / "elsewhere")
+    found = {row["seed"]: row for row in field.read_rows(field.LINES) if row["line"] == "maesn"}
+    assert 0 < float(found["2"]["hours_left"]) < 50
     assert [row["seed"] for row in field.read_rows(field.RESULTS)] == ["0", "9"]
 
 

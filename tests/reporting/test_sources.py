@@ -60,15 +60,22 @@ def test_runs_whose_returns_cannot_be_compared_are_refused(
         read_series([*runs, write_run(tmp_path / "c", seed=1, **other)])
 
 
-def test_tables_of_different_tasks_with_one_name_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("tasks", "remedy"), [("test", "so adapt again"), ("training", "so move one of them elsewhere")]
+)
+def test_tables_of_different_tasks_with_one_name_are_refused(
+    tmp_path: Path, tasks: str, remedy: str
+) -> None:
     runs = [write_run(tmp_path / "a"), write_run(tmp_path / "b", "maml")]
     for directory, digest in zip(runs, ("a1", "b2"), strict=True):
-        record = directory / "adaptation" / "test-sparse.settings.json"
+        table = directory / "adaptation" / f"{tasks}-sparse.csv"
+        write_adaptation(table, adaptation_table())
+        record = table.with_suffix(".settings.json")
         record.write_text(json.dumps({"task_digest": digest}))
-    with pytest.raises(RunError, match="the tables `test-sparse` are of different tasks"):
+    with pytest.raises(RunError, match=rf"a/.*csv` and `.*b/.*different tasks: .*{remedy}"):
         compare_runs(runs)
     record.unlink()
-    assert len(compare_runs(runs).comparisons) == 1
+    assert f"{tasks}-sparse" in [one.name for one in compare_runs(runs).comparisons]
 
 
 def test_a_study_says_how_its_lines_were_evaluated(tmp_path: Path) -> None:

@@ -146,3 +146,6 @@ def test_tasks_may_be_truths(tmp_path: Path) -> None:
     file = write_goals(tmp_path / "sides.npz", left=np.array([True, False]))
     found = load_tasks(file, sides).tasks
     assert (found.tolist(), found.dtype) == ([True, False], bool)
+    mask = write_goals(tmp_path / "mask.npz", goal=np.ones((2, 2), bool))
+    with pytest.raises(RunError, match="must hold values of type float32, got bool"):
+        load_tasks(mask, POINT)

@@ -101,6 +101,7 @@ class Pushing(Point):
         {"offset": (0, 0), "scale": (-0.7, 0.37), "lower": (-np.inf, 0), "upper": (0, 100)},
         {"offset": (7, 30), "scale": (3, -10), "lower": (-1, -1), "upper": (1, 1)},
         {"offset": (5, 0), "scale": (0.1, 40), "lower": (-2, 0), "upper": (2, 0.2)},
+        {"offset": (-40000, 0), "scale": (1, 1), "lower": (-1, 0), "upper": (1, 0.001)},
     ],
 )
 def test_controls_may_be_at_a_limit_in_the_middle(form: dict[str, tuple[float, float]]) -> None:

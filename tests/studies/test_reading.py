@@ -173,6 +173,11 @@ def test_every_setting_of_a_run_can_be_said(tmp_path: Path) -> None:
             "`lines.1`: `maesn` was trained on tasks of its own",
         ),
         (
+            'family = "point"\noracle = "taught"\n[runs.maesn]\n[runs.taught]\n'
+            'preset = "oracle"\ntasks = "test"\n[evaluations.a]\ntasks = "training"',
+            "`oracle`: `taught` was trained on tasks of its own",
+        ),
+        (
             'family = "point"\n[runs.maesn]\n[evaluations.a]\ndeploy_after = [0, 100]',
             "`evaluations.a`: `deploy_after` needs `deploy_episodes`",
         ),

@@ -102,8 +102,9 @@ def _fitted(array: np.ndarray, like: np.ndarray, what: str) -> np.ndarray:
     if array.ndim != like.ndim or array.shape[1:] != like.shape[1:]:
         wanted = ", ".join(["tasks", *map(str, like.shape[1:])])
         raise RunError(f"{what} must have the shape [{wanted}], got {list(array.shape)}.")
-    if array.dtype.kind not in "bfiu" or not np.can_cast(array.dtype, like.dtype, "same_kind"):
-        raise RunError(f"{what} must hold numbers of type {like.dtype}, got {array.dtype}.")
+    kinds = "b" if like.dtype.kind == "b" else "fiu"
+    if array.dtype.kind not in kinds or not np.can_cast(array.dtype, like.dtype, "same_kind"):
+        raise RunError(f"{what} must hold values of type {like.dtype}, got {array.dtype}.")
     with np.errstate(over="ignore"):  # what overflows is refused in the next line
         fitted = array.astype(like.dtype)
     wrong = ~(np.isfinite(fitted) & np.isclose(fitted, array))

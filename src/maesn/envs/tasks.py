@@ -62,8 +62,8 @@ class TaskFamily(NamedTuple):
 
     name: str
     make_env: Callable[..., AnyEnv]
-    """Called with `variant` and `reward_kind`, and with `sparse_radius` if it is not to be the
-    family's own."""
+    """Called with any of `variant`, `reward_kind` and `sparse_radius`; each has a default, which is
+    the family's own."""
     draw_tasks: Callable[[np.random.Generator, int], Any]
     """Draws a pytree of that many tasks, stacked."""
     task_names: tuple[str, ...]

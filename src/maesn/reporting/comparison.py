@@ -55,7 +55,10 @@ class Line:
 
     def has_policies_of(self, other: "Line") -> bool:
         """Whether both are evaluations of the same trained policies, seed by seed."""
-        return bool(self.source) and (self.source, self.seeds) == (other.source, other.seeds)
+        here, there = (
+            (line.source, line.seeds, line.table.about.get("weights")) for line in (self, other)
+        )
+        return bool(self.source) and here == there
 
     def measure(self, name: str) -> Float[np.ndarray, "seed task update"]:
         """Return one of `MEASURES`."""

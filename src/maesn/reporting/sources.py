@@ -120,13 +120,17 @@ def compare_runs(directories: Sequence[Path]) -> Compared:
 
 def _check_tasks(title: str, lines: Sequence[Line]) -> None:
     """Refuse tables that are known to be of different tasks, although these have one name."""
-    records = (table.with_suffix(reading.RECORD) for line in lines for table in line.files)
-    digests = {read_json(path).get("task_digest") for path in records if path.exists()}
-    if len(digests - {None}) > 1:
-        raise RunError(
-            f"the tables `{title}` are of different tasks: `training` is each run's own set, and a "
-            "family may have changed since. Adapt again, or report on each run by itself."
-        )
+    known = dict[str, Path]()
+    for table in (file for line in lines for file in line.files):
+        record = table.with_suffix(reading.RECORD)
+        if record.exists() and (digest := read_json(record).get("task_digest")):
+            known.setdefault(digest, table)
+    if len(known) > 1:
+        first, second, *_ = known.values()
+        remedy = "the family has changed since one was written, so adapt again"
+        if title.startswith("training"):
+            remedy = "each run has its own `training` tasks, so move one of them elsewhere"
+        raise RunError(f"`{first}` and `{second}` are of different tasks: {remedy}.")
 
 
 def _line_of_runs(

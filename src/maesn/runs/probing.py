@@ -23,7 +23,7 @@ Shapes: TypeAlias = tuple[tuple[str, tuple[int, ...]], ...]
 # An input far outside of every range: what it leads to is a limit. What grows with the input to
 # half that size has none.
 _FAR = 1e6
-_PROBE_STEP = 2.0**-10  # powers of two, so that the scale is exact in single precision
+_SHORTEST = 2.0**-30  # step between two inputs
 _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
 _NEAR = 0.01  # standard deviation of inputs that are not clipped
@@ -42,13 +42,7 @@ def probe_actuators(env: AnyEnv) -> Actuators:
     lower, upper = _limits(control)
     free = _uncut(control, lower, upper)
     value = control(free)
-    # The longest step that no limit cuts has the least rounding. A step of half the room is safe.
-    rough = np.abs(control(free + _PROBE_STEP) - control(free - _PROBE_STEP)) / (2 * _PROBE_STEP)
-    room = np.minimum(upper - value, value - lower) / (2 * np.maximum(rough, _PROBE_STEP))
-    shortest = np.maximum(_PROBE_STEP, np.abs(free) * 2.0**-20)  # what single precision can tell
-    longest = np.maximum(1.0, np.abs(free) / 2)
-    step = 2.0 ** np.floor(np.log2(np.clip(room, shortest, longest)))
-    after, before = (float64(np.float32(free + sign * step)) for sign in (1.0, -1.0))
+    before, after = _apart(control, free, lower, upper)
     scale = (control(after) - control(before)) / (after - before)
     offset = value - scale * free
     own = Actuators(offset, scale, lower, upper, ("",) * env.action_size)
@@ -88,6 +82,27 @@ def _uncut(
     found = float64(np.float32(ends[0]))
     is_uncut = (resting > lower) & (resting < upper) | (lower == upper)
     return np.where(is_uncut, 0.0, found)
+
+
+def _apart(
+    control: Callable[[float | np.ndarray], np.ndarray],
+    free: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each actuator two actions around `free` that are as far apart as no limit cuts.
+
+    The longest step has the least rounding; all are powers of two.
+    """
+    step = 2.0 ** np.floor(np.log2(np.maximum(1.0, np.abs(free) / 2)))
+    shortest = np.maximum(_SHORTEST, np.abs(free) * 2.0**-20)  # what single precision can tell
+    while True:
+        ends = [float64(np.float32(free + sign * step)) for sign in (-1.0, 1.0)]
+        values = np.stack([control(end) for end in ends])
+        is_cut = ((values <= lower) | (values >= upper)).any(axis=0) & (step > shortest)
+        if not is_cut.any():
+            return ends[0], ends[1]
+        step = np.where(is_cut, step / 2, step)
 
 
 def probe_sensors(env: AnyEnv, task: Any) -> Sensors:

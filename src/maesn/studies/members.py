@@ -172,14 +172,15 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]
         members = [_existing(one, study, family, own) for one in spec.directories] or [
             _to_train(study, name, family, seed) for seed in spec.seeds or study.seeds
         ]
-        _check_seeds([one.seed for one in members])
+        _check_seeds([one.seed for one in members], spec.directories)
     return [dataclasses.replace(one, label=spec.label) for one in members]
 
 
-def _check_seeds(seeds: Sequence[int]) -> None:
+def _check_seeds(seeds: Sequence[int], directories: Sequence[str] = ()) -> None:
     """Refuse a seed that takes part twice, which would count as two."""
     if len(set(seeds)) < len(seeds):
-        raise ValueError(f"each seed takes part once, got seeds {', '.join(map(str, seeds))}.")
+        of = f" of {', '.join(f'`{one}`' for one in directories)}" if directories else ""
+        raise ValueError(f"each seed takes part once, got seeds {', '.join(map(str, seeds))}{of}.")
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:

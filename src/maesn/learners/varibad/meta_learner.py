@@ -81,6 +81,8 @@ class VaribadInfo(TrialInfo):
 
     bonus: Float[Array, ""]
     """Mean bonus of a step, in the unit of rewards."""
+    bonus_accepted: Bool[Array, ""]
+    """False if the bonus or its networks were not finite: none is given, and they stay."""
     inference: InferenceInfo
     inference_accepted: Bool[Array, ""]
     """False if encoder or decoder were not finite: they stay as they were."""
@@ -189,7 +191,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
         steps = steps_of(episodes)
         beliefs = jax.vmap(policy.encoder.posteriors)(steps)
         trials, raw = self._seen(policy, join_episodes(episodes), beliefs)
-        bonus, bonus_state = self._bonus(keys[0], state, steps, beliefs, trials)
+        (bonus, bonus_state), bonus_accepted = self._bonus(keys[0], state, steps, beliefs, trials)
         rewarded = replace(trials, reward=trials.reward + bonus)
 
         expected = self.value.values(state.value, rewarded)
@@ -214,6 +216,7 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
         info = VaribadInfo(
             **describe_trials(episodes, trials, advantages, expected),
             bonus=masked_mean(bonus, trials.valid),
+            bonus_accepted=bonus_accepted,
             value_accepted=value_accepted,
             policy_step=step,
             inference=inference,
@@ -241,9 +244,10 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
 
     def _bonus(
         self, key: Key, state: VaribadState, steps: Steps, beliefs: DiagonalGaussian, trials: Trials
-    ) -> tuple[Float[Array, "trial time"], BonusState | None]:
+    ) -> tuple[tuple[Float[Array, "trial time"], BonusState | None], Bool[Array, ""]]:
+        """Return the bonus of each step and the state of what learns it, and whether both hold."""
         if state.bonus is None:
-            return jnp.zeros_like(trials.reward), None
+            return (jnp.zeros_like(trials.reward), None), jnp.array(True)
         noise_key, learn_key = jax.random.split(key)
         policy, decoder = state.networks.policy, state.networks.decoder
         after = jax.tree.map(lambda x: x[:, 1:], beliefs)
@@ -259,4 +263,4 @@ class VaribadMetaLearner(AbstractTrialMetaLearner[VaribadState, VaribadInfo]):
             state.bonus, state.iteration, seen, errors, trials.reward, steps.valid, self.discount
         )
         learned = self.bonus.learn(learn_key, judged, seen, steps.valid)
-        return if_finite((bonus, learned), (jnp.zeros_like(bonus), state.bonus))[0]
+        return if_finite((bonus, learned), (jnp.zeros_like(bonus), state.bonus))
