@@ -53,7 +53,7 @@ class PriorSettings:
     seed: int = 0
     """Seed of the draws and the episodes."""
     simulations: int = 1000
-    """Episodes that are played at once; bounds the memory."""
+    """Episodes of the archive that are played at once; bounds the memory."""
 
     def __post_init__(self) -> None:
         check_least(self, episodes=1, searches=0, simulations=1)
