@@ -173,7 +173,7 @@ def _by_job() -> dict[tuple[str, ...], tuple[Row, list[Row]]]:
 def _guesses() -> dict[tuple[str, ...], float]:
     """Return the hours that seeds in the file still take, by `_address`.
 
-    A training that was begun on another machine tells more than this one knows before its own.
+    They hold until a job of the seed is begun here: where it was begun before, its speed was seen.
     """
     rows = read_rows(LINES) if LINES.exists() else []
     return {_address(row): float(row["hours_left"]) for row in rows if row["hours_left"]}

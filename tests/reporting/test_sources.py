@@ -61,7 +61,8 @@ def test_runs_whose_returns_cannot_be_compared_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("tasks", "remedy"), [("test", "so adapt again"), ("training", "so move one of them elsewhere")]
+    ("tasks", "remedy"),
+    [("test", "so adapt again"), ("training", "so move one of the files elsewhere")],
 )
 def test_tables_of_different_tasks_with_one_name_are_refused(
     tmp_path: Path, tasks: str, remedy: str
@@ -76,6 +77,23 @@ def test_tables_of_different_tasks_with_one_name_are_refused(
         compare_runs(runs)
     record.unlink()
     assert f"{tasks}-sparse" in [one.name for one in compare_runs(runs).comparisons]
+
+
+def test_seeds_that_were_trained_on_between_two_tables_are_other_policies(tmp_path: Path) -> None:
+    runs = [write_run(tmp_path / str(seed), seed=seed) for seed in (0, 1)]
+    records = [
+        directory / "adaptation" / f"test-sparse{rule}.settings.json"
+        for directory in runs
+        for rule in ("", "-search-0123abcd")
+    ]
+    for record in records:
+        write_adaptation(record.with_suffix("").with_suffix(".csv"), adaptation_table())
+        write_json(record, {"weights": "old"})
+    for last, are_same in (("old", True), ("new", False)):
+        write_json(records[-1], {"weights": last})
+        (comparison,) = compare_runs(runs).comparisons
+        gradient, search = comparison.lines
+        assert gradient.has_policies_of(search) == are_same
 
 
 def test_a_study_says_how_its_lines_were_evaluated(tmp_path: Path) -> None:

@@ -102,6 +102,8 @@ class Pushing(Point):
         {"offset": (7, 30), "scale": (3, -10), "lower": (-1, -1), "upper": (1, 1)},
         {"offset": (5, 0), "scale": (0.1, 40), "lower": (-2, 0), "upper": (2, 0.2)},
         {"offset": (-40000, 0), "scale": (1, 1), "lower": (-1, 0), "upper": (1, 0.001)},
+        {"offset": (1 - 1e-4, 1 - 1e-6), "scale": (0.37, 0.37), "lower": (-1, -1), "upper": (1, 1)},
+        {"offset": (16.6, 57), "scale": (0.018, 0.027), "lower": (0, 0), "upper": (np.inf, np.inf)},
     ],
 )
 def test_controls_may_be_at_a_limit_in_the_middle(form: dict[str, tuple[float, float]]) -> None:

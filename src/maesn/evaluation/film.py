@@ -73,7 +73,8 @@ def render(
         task: Index of the task in its set.
         after: Numbers of episodes that the agent has learned from when episodes are shown; 0 is
             before any adaptation, and the last one at most `episodes`. Of a policy with a memory
-            they count all of its trials, while a title counts one. None: 0, and half of `episodes`.
+            they count the episodes of all its trials, a title those of one trial. None: 0, and half
+            of `episodes`.
         shown: Episodes that are shown each time: the first ones that are played from then on.
         out: Directory of the pictures; None: `DIR/render`.
         family: The run's family as `module:name`, if it is your own.

@@ -27,6 +27,7 @@ class Line:
     seeds: tuple[int, ...]
     table: AdaptationTable  # all seeds: curves are `[seed, task, update]`
     source: str = ""  # the run or method, which lines by other rules share
+    weights: tuple[str | None, ...] = ()  # digests of the seeds' weights, where they are known
     training_steps: int | None = None  # environment steps of meta-training; None without any
     settings: Mapping[str, Any] = field(default_factory=dict)  # by their path
     published: PublishedCurve | None = None  # the paper's curve, if it is comparable
@@ -55,9 +56,7 @@ class Line:
 
     def has_policies_of(self, other: "Line") -> bool:
         """Whether both are evaluations of the same trained policies, seed by seed."""
-        here, there = (
-            (line.source, line.seeds, line.table.about.get("weights")) for line in (self, other)
-        )
+        here, there = ((line.source, line.seeds, line.weights) for line in (self, other))
         return bool(self.source) and here == there
 
     def measure(self, name: str) -> Float[np.ndarray, "seed task update"]:

@@ -129,7 +129,9 @@ def _check_tasks(title: str, lines: Sequence[Line]) -> None:
         first, second, *_ = known.values()
         remedy = "the family has changed since one was written, so adapt again"
         if title.startswith("training"):
-            remedy = "each run has its own `training` tasks, so move one of them elsewhere"
+            remedy = (
+                "`training` is what each run was trained on, so move one of the files elsewhere"
+            )
         raise RunError(f"`{first}` and `{second}` are of different tasks: {remedy}.")
 
 
@@ -149,6 +151,7 @@ def _line_of_runs(
         tuple(files),
         table,
         source=one.name,
+        weights=tuple(table.about.get("weights") for table in tables),
         settings=leaves({"evaluation": table.about, **run.settings}),
         published=None if name.rule else comparable_curve(*world, run.method, table),
         recorded=run.path / records.EXPLORATION if is_recorded else None,

@@ -23,7 +23,8 @@ Shapes: TypeAlias = tuple[tuple[str, tuple[int, ...]], ...]
 # An input far outside of every range: what it leads to is a limit. What grows with the input to
 # half that size has none.
 _FAR = 1e6
-_SHORTEST = 2.0**-30  # step between two inputs
+_LONGEST, _SHORTEST = 2.0**18, 2.0**-30  # steps from an input to one of two around it
+_CLOSE = 1e-3  # as a share of the value: from there to a limit, steps are rounded too much
 _NUM_PROBES = 256
 _TOLERANCE = 1e-4  # for environments with an offset, where it is not
 _NEAR = 0.01  # standard deviation of inputs that are not clipped
@@ -64,9 +65,9 @@ def probe_actuators(env: AnyEnv) -> Actuators:
 def _uncut(
     control: Callable[[float | np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Return for each actuator an action whose control no limit cuts: 0 where that is one.
+    """Return for each actuator an action whose control is not close to a limit: 0 if it is one.
 
-    Elsewhere it is found by bisection: it leads halfway between the limits, or 1 from a single one.
+    Else it is found by bisection, and leads halfway between the limits, or 1 from a single one.
     """
     resting = control(0.0)
     inner = np.where(np.isfinite(lower), lower + 1.0, upper - 1.0)
@@ -80,8 +81,9 @@ def _uncut(
         is_before = (control(half) < wanted) == rises
         ends = np.where(is_before, half, ends[0]), np.where(is_before, ends[1], half)
     found = float64(np.float32(ends[0]))
-    is_uncut = (resting > lower) & (resting < upper) | (lower == upper)
-    return np.where(is_uncut, 0.0, found)
+    room = np.minimum(upper - resting, resting - lower)
+    is_free = (room > _CLOSE * np.abs(resting)) | (lower == upper)
+    return np.where(is_free, 0.0, found)
 
 
 def _apart(
@@ -90,11 +92,11 @@ def _apart(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each actuator two actions around `free` that are as far apart as no limit cuts.
+    """Return for each actuator `free` less and plus the longest step that no limit cuts.
 
-    The longest step has the least rounding; all are powers of two.
+    Of steps that are powers of two: the longest has the least rounding.
     """
-    step = 2.0 ** np.floor(np.log2(np.maximum(1.0, np.abs(free) / 2)))
+    step = np.full_like(free, _LONGEST)
     shortest = np.maximum(_SHORTEST, np.abs(free) * 2.0**-20)  # what single precision can tell
     while True:
         ends = [float64(np.float32(free + sign * step)) for sign in (-1.0, 1.0)]
