@@ -179,8 +179,10 @@ def members_of_run(study: StudySpec, name: str, family: str) -> list[TrainedRun]
 def _check_seeds(seeds: Sequence[int], directories: Sequence[str] = ()) -> None:
     """Refuse a seed that takes part twice, which would count as two."""
     if len(set(seeds)) < len(seeds):
-        of = f" of {', '.join(f'`{one}`' for one in directories)}" if directories else ""
-        raise ValueError(f"each seed takes part once, got seeds {', '.join(map(str, seeds))}{of}.")
+        got = f"seeds {', '.join(map(str, seeds))}"
+        if directories:
+            got += f" of {', '.join(f'`{one}`' for one in directories)}"
+        raise ValueError(f"each seed takes part once, got {got}.")
 
 
 def trained_run(run: Run, identity: str = "", **where: Any) -> TrainedRun:
